@@ -8,7 +8,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import Chunk, TelemetryEvent, read_chunks
+from cassini_bayes.events.telemetry import TelemetryEvent, read_chunks
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft
 
@@ -36,8 +36,10 @@ def recorded_totals(event: TelemetryEvent, spacecraft: Spacecraft) -> TotalsEven
         )
     chunks = list(read_chunks(event, spacecraft))
     start_rpm, end_rpm = _ends(event, "wheel rates", [chunk.wheel_rpm for chunk in chunks])
-    counters = [_ends(event, name, _counters(chunks, name)) for name in ("on_time_s", "pulses")]
-    gained = [last - first for first, last in counters]
+    gained = []
+    for name in ("on_time_s", "pulses"):
+        first, last = _ends(event, name, [getattr(chunk, name) for chunk in chunks])
+        gained.append(last - first)
     return TotalsEvent(
         id=event.id,
         epoch=event.epoch,
@@ -49,17 +51,8 @@ def recorded_totals(event: TelemetryEvent, spacecraft: Spacecraft) -> TotalsEven
         thrusters=event.thrusters,
         on_time_s=gained[0],
         pulses=gained[1],
-        delta_v_m_s=None,
-        delta_v_source=None,
-        hydrazine_g=None,
-        mass_kg=None,
-        thrust_predicted_n=None,
         source="telemetry",
     )
-
-
-def _counters(chunks: Sequence[Chunk], name: str) -> list[Array]:
-    return [getattr(chunk, name) for chunk in chunks]
 
 
 def _ends(event: TelemetryEvent, what: str, parts: Sequence[Array]) -> tuple[Array, Array]:

@@ -23,12 +23,13 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.cells import Row, read_rows, rows_of
-from cassini_bayes.files.checks import in_utc, nearest
+from cassini_bayes.files.checks import check_known, in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.spacecraft import Spacecraft
 
 DeltaVSource = Literal["measured", "computed"]
+DELTA_V_SOURCES: Final[tuple[DeltaVSource, ...]] = ("measured", "computed")
 
 SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
 _COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
@@ -40,7 +41,7 @@ IMPLAUSIBLE_RPM: Final = 10_000.0
 _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class TotalsEvent:
     """Totals of one bias event, from one source. Arrays are copied and read-only.
 
@@ -59,12 +60,12 @@ class TotalsEvent:
     duration_s: float
     thrusters: tuple[str, ...]
     on_time_s: Array  # (K,)
-    pulses: Array | None  # (K,)
-    delta_v_m_s: Array | None  # (3,)
-    delta_v_source: DeltaVSource | None
-    hydrazine_g: float | None
-    mass_kg: float | None
-    thrust_predicted_n: float | None
+    pulses: Array | None = None  # (K,)
+    delta_v_m_s: Array | None = None  # (3,)
+    delta_v_source: DeltaVSource | None = None
+    hydrazine_g: float | None = None
+    mass_kg: float | None = None
+    thrust_predicted_n: float | None = None
     source: str
 
     def __post_init__(self) -> None:
@@ -189,23 +190,15 @@ def _columns(spacecraft: Spacecraft) -> tuple[tuple[str, ...], set[str]]:
 
 
 def _identity(row: Row) -> tuple[str, str]:
-    identity = row.text("id", "a name of the event")
-    source = row.text("source", f"one of {', '.join(SOURCES)}")
-    if source not in SOURCES:
-        raise row.refuse("source", f"one of {', '.join(SOURCES)}", nearest(source, SOURCES))
-    return identity, source
+    return row.text("id", "a name of the event"), row.choice("source", SOURCES)
 
 
 def _choose(
     file: str, by_source: Mapping[str, Mapping[str, Row]], source: str, wanted: str | None
 ) -> list[Row]:
     if source not in by_source:
-        raise InputError(
-            file,
-            f"rows of source {source!r}",
-            f"rows of {', '.join(by_source)}",
-            nearest(source, by_source),
-        )
+        wanted_rows, got = f"rows of source {source!r}", f"rows of {', '.join(by_source)}"
+        raise InputError(file, wanted_rows, got, nearest(source, by_source))
     rows = by_source[source]
     if wanted is None:
         return list(rows.values())
@@ -221,17 +214,12 @@ def _choose(
 
 
 def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
-    branch = row.text("branch", f"one of {', '.join(spacecraft.branches)}")
-    if branch not in spacecraft.branches:
-        raise row.refuse(
-            "branch",
-            f"a thruster branch of {spacecraft.name}",
-            nearest(branch, spacecraft.branches),
-        )
+    expected = f"a thruster branch of {spacecraft.name}"
+    branch = row.choice("branch", spacecraft.branches, expected)
     wheels = _wheels(row, spacecraft)
     start, end = _wheel_rates(row, spacecraft, wheels)
     duration = row.positive("duration_s", "s")
-    thrusters = tuple(thruster.name for thruster in spacecraft.thrusters_of(branch))
+    thrusters = spacecraft.thruster_names(branch)
     on_time = _on_times(row, spacecraft, thrusters, duration)
     delta_v, delta_v_source = _delta_v(row)
     hydrazine = row.non_negative("hydrazine_g", "g") if row.cells["hydrazine_g"] else None
@@ -258,17 +246,15 @@ def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
 
 
 def _epoch(row: Row) -> datetime:
-    cell = row.text("epoch", "an ISO 8601 time")
-    epoch = in_utc(cell)
+    epoch = in_utc(row.text("epoch", "an ISO 8601 time"))
     if epoch is None:
-        raise row.refuse(
-            "epoch", "an ISO 8601 time, UTC", "write e.g. 2010-02-13 or 2010-02-13T12:00:00Z"
-        )
+        fix = "write e.g. 2010-02-13 or 2010-02-13T12:00:00Z"
+        raise row.refuse("epoch", "an ISO 8601 time, UTC", fix)
     return epoch
 
 
 def _wheels(row: Row, spacecraft: Spacecraft) -> tuple[int, ...]:
-    known = [wheel.number for wheel in spacecraft.wheels]
+    known = spacecraft.wheel_numbers
     expected = f"different wheels out of {known}, separated by blanks"
     fix = f"write e.g. {' '.join(str(number) for number in known[:3])}"
     words = row.text("wheels", expected).split()
@@ -285,15 +271,12 @@ def _wheel_rates(
     row: Row, spacecraft: Spacecraft, wheels: tuple[int, ...]
 ) -> tuple[list[float], list[float]]:
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
+    prime = " ".join(map(str, wheels))
     for number, name in names.items():
         for column in (f"{name}_rpm_start", f"{name}_rpm_end"):
             if number not in wheels and row.cells[column]:
-                raise row.refuse(
-                    column,
-                    f"an empty cell: wheel {number} is not among the prime wheels"
-                    f" {' '.join(map(str, wheels))}",
-                    "correct the wheels, or empty the cell",
-                )
+                expected = f"an empty cell: wheel {number} is not among the prime wheels {prime}"
+                raise row.refuse(column, expected, "correct the wheels, or empty the cell")
     start = [_wheel_rate(row, f"{names[number]}_rpm_start") for number in wheels]
     return start, [_wheel_rate(row, f"{names[number]}_rpm_end") for number in wheels]
 
@@ -313,11 +296,9 @@ def _refuse_other_branch(row: Row, spacecraft: Spacecraft, own: Sequence[str], f
     for thruster in spacecraft.thrusters:
         column = form.format(thruster.name)
         if thruster.name not in own and row.cells[column]:
-            raise row.refuse(
-                column,
-                f"an empty cell: branch {row.cells['branch']} has no thruster {thruster.name}",
-                "correct the branch, or empty the cell",
-            )
+            branch = row.cells["branch"]
+            expected = f"an empty cell: branch {branch} has no thruster {thruster.name}"
+            raise row.refuse(column, expected, "correct the branch, or empty the cell")
 
 
 def _on_times(
@@ -329,11 +310,8 @@ def _on_times(
         column = f"on_time_{name}_s"
         value = row.non_negative(column, "s")
         if value > duration:
-            raise row.refuse(
-                column,
-                f"an on-time no longer than the event, {duration:g} s",
-                "check duration_s and the unit (s)",
-            )
+            expected = f"an on-time no longer than the event, {duration:g} s"
+            raise row.refuse(column, expected, "check duration_s and the unit (s)")
         values.append(value)
     return values
 
@@ -369,9 +347,8 @@ def _pulses(
 
 def _delta_v(row: Row) -> tuple[Array | None, DeltaVSource | None]:
     declared = row.cells["delta_v_source"]
-    given = any(row.cells[column] for column in _DELTA_V_COLUMNS)
-    expected = "measured or computed"
-    if not given:
+    expected = " or ".join(DELTA_V_SOURCES)
+    if not any(row.cells[column] for column in _DELTA_V_COLUMNS):
         if declared:
             raise row.refuse(
                 "delta_v_source",
@@ -379,15 +356,11 @@ def _delta_v(row: Row) -> tuple[Array | None, DeltaVSource | None]:
                 "fill in delta_v_x_m_s to delta_v_z_m_s, or empty this cell",
             )
         return None, None
-    vector = np.array(
-        [row.number(column, "m/s (all three axes or none)") for column in _DELTA_V_COLUMNS]
-    )
+    unit = "m/s (all three axes or none)"
+    vector = np.array([row.number(column, unit) for column in _DELTA_V_COLUMNS])
     row.text("delta_v_source", f"{expected}, because the row has a velocity change")
-    if declared == "measured":
-        return vector, "measured"
-    if declared == "computed":
-        return vector, "computed"
-    raise row.refuse("delta_v_source", expected, nearest(declared, ("measured", "computed")))
+    check_known(row.where("delta_v_source"), declared, DELTA_V_SOURCES, expected)
+    return vector, DELTA_V_SOURCES[DELTA_V_SOURCES.index(declared)]
 
 
 def _number_cell(value: float) -> str:

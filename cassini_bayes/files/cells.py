@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest, parse_number
+from cassini_bayes.files.checks import check_known, nearest, parse_number
 from cassini_bayes.files.reading import open_file, read_bytes, text_of
 
 MOST_BYTES: Final = 64 << 20
@@ -41,6 +41,12 @@ class Row:
         if not self.cells[column]:
             raise self.refuse(column, expected, "fill in the cell")
         return self.cells[column]
+
+    def choice(self, column: str, known: Collection[str], expected: str | None = None) -> str:
+        """One of the known texts; ``expected`` says what they are."""
+        text = self.text(column, f"one of {', '.join(known)}")
+        check_known(self.where(column), text, known, expected)
+        return text
 
     def number(self, column: str, unit: str) -> float:
         """A finite number in ``unit``."""
@@ -158,6 +164,19 @@ def cells_of(file: str, text: str) -> Iterator[tuple[int, list[str]]]:
         ) from None
 
 
+def check_once(where: str, header: Sequence[str]) -> None:
+    """Refuse a header that names a column twice.
+
+    Raises
+    ------
+    InputError
+        Names the first such column.
+    """
+    for i, name in enumerate(header):
+        if name in header[:i]:
+            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
+
+
 def _check_header(
     where: str, header: Sequence[str], columns: Sequence[str], needed: Collection[str]
 ) -> None:
@@ -170,9 +189,7 @@ def _check_header(
                 f"the unknown column {name!r}",
                 nearest(name, missing) if missing else "drop it: every known column is there",
             )
-    for i, name in enumerate(header):
-        if name in header[:i]:
-            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
+    check_once(where, header)
     lacking = [name for name in columns if name in needed and name not in header]
     if lacking:
         raise InputError(

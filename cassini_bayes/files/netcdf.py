@@ -19,6 +19,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.reading import open_file
 
 MOST_BYTES: Final = 4 << 30  # of one group in memory; compressed, a small file may declare any size
+_FIX: Final = "run the fit again, or restore the file"
 _SEAL: Final = b"\ncassini_bayes sha256 "
 # what HDF5 and the libraries above it raise about bytes that are no such file
 _DAMAGE: Final = (
@@ -62,9 +63,7 @@ def read_groups(
     except _DAMAGE as error:
         text = str(error)
         reason = f"{type(error).__name__}: {text.splitlines()[0] if text else 'unreadable'}"
-        raise InputError(
-            str(path), what, reason, "run the fit again, or restore the file"
-        ) from None
+        raise InputError(str(path), what, reason, _FIX) from None
 
 
 def _check_seal(path: Path, what: str) -> None:
@@ -81,8 +80,7 @@ def _check_seal(path: Path, what: str) -> None:
             digest.update(block)
             left -= len(block)
     if digest.digest() != result:
-        fix = "run the fit again, or restore the file"
-        raise InputError(str(path), what, "one that was damaged after it was written", fix)
+        raise InputError(str(path), what, "one that was damaged after it was written", _FIX)
 
 
 def _loaded(path: Path, group: str, needed: Sequence[str]) -> xr.Dataset:

@@ -56,9 +56,8 @@ def open_file(path: Path, what: str) -> BufferedReader:
     except OSError as error:
         raise _unreadable(path, what, error) from None
     except ValueError:
-        raise InputError(
-            str(path), what, "a path with a null character", "check the path"
-        ) from None
+        got = "a path with a null character"
+        raise InputError(str(path), what, got, "check the path") from None
 
 
 def read_bytes(path: Path, what: str, most: int) -> bytes:
@@ -75,9 +74,8 @@ def read_bytes(path: Path, what: str, most: int) -> bytes:
         except OSError as error:
             raise _unreadable(path, what, error) from None
     if len(content) > most:
-        raise InputError(
-            str(path), f"{what} of at most {most:,} bytes", "a larger one", "check that it is one"
-        )
+        expected = f"{what} of at most {most:,} bytes"
+        raise InputError(str(path), expected, "a larger one", "check that it is one")
     return content
 
 

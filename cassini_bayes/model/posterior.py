@@ -35,7 +35,8 @@ from cassini_bayes.model.thrusts import (
 )
 from cassini_bayes.model.totals import DeltaVUse, TotalsTerm, totals_terms
 from cassini_bayes.model.unknowns import Unknowns
-from cassini_bayes.priors.reader import ParameterSpace, Priors
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 

@@ -23,7 +23,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import digest
-from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.distributions import Distribution, standard_columns
 from cassini_bayes.priors.parameter_space import JointNormal
 
 LEVELS: Final = "thrust_level_n"
@@ -51,11 +51,7 @@ class ChainedLevels:
 
     def levels_n(self, parameters: Mapping[str, ArrayLike]) -> Array:
         """Mean levels (..., K) at walked parameters name → (...,)."""
-        columns = [
-            distribution.standard_of(parameters[name])
-            for name, distribution in zip(self.names, self.distributions, strict=True)
-        ]
-        z = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        z = standard_columns(self.names, self.distributions, parameters)
         return np.asarray(quadratic(z) @ self.coefficients)
 
 

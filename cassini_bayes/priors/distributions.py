@@ -10,7 +10,7 @@ checked, and given its moments and variants.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -54,15 +54,8 @@ def distribution_names() -> tuple[str, ...]:
 def keywords_of(name: str) -> tuple[str, ...]:
     """Keywords of the scipy.stats distribution ``name``: its shapes, then ``loc`` and ``scale``."""
     family = _scipy_family(name)
-    shapes = family.shapes if family is not None else None
-    return (
-        (*(part.strip() for part in shapes.split(",")), "loc", "scale")
-        if shapes
-        else (
-            "loc",
-            "scale",
-        )
-    )
+    shapes = (family.shapes or "") if family is not None else ""
+    return (*(part.strip() for part in shapes.split(",") if part), "loc", "scale")
 
 
 @dataclass(frozen=True)
@@ -107,11 +100,8 @@ class Distribution:
         return hash((self.name, tuple(sorted(self.keywords.items())), self.low, self.high))
 
     def __repr__(self) -> str:
-        bounds = "".join(
-            f", {key}={value!r}"
-            for key, value in (("low", self.low), ("high", self.high))
-            if value is not None
-        )
+        given = {"low": self.low, "high": self.high}
+        bounds = "".join(f", {k}={value!r}" for k, value in given.items() if value is not None)
         return f"Distribution({self.name!r}, {dict(self.keywords)!r}{bounds})"
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -209,11 +199,18 @@ class Distribution:
             changed = {"scale": scale * width * math.exp(shift * sd / (mean - low))}
         else:
             middle = 0.5 * (low + high) if math.isfinite(high - low) else loc
-            changed = {
-                "loc": middle + (loc - middle) * width + shift * sd,
-                "scale": scale * width,
-            }
+            moved = middle + (loc - middle) * width + shift * sd
+            changed = {"loc": moved, "scale": scale * width}
         return replace(self, keywords={**keywords, **changed})
+
+
+def standard_columns(
+    names: Sequence[str], distributions: Sequence[Distribution], values: Mapping[str, ArrayLike]
+) -> Array:
+    """Standard coordinates (..., d) of parameters name → (...,), in the order of ``names``."""
+    pairs = zip(names, distributions, strict=True)
+    columns = [distribution.standard_of(values[name]) for name, distribution in pairs]
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def _frozen(name: str, keywords: Mapping[str, float]) -> Any:
@@ -230,10 +227,8 @@ def _support(
     name: str, keywords: Mapping[str, float], low: float | None, high: float | None
 ) -> tuple[float, float]:
     left, right = (float(end) for end in _frozen(name, keywords).support())
-    return (
-        left if low is None else max(left, low),
-        right if high is None else min(right, high),
-    )
+    left = left if low is None else max(left, low)
+    return left, right if high is None else min(right, high)
 
 
 def check_keywords(
@@ -258,20 +253,13 @@ def check_keywords(
     allowed = keywords_of(name)
     for key in keywords:
         if key not in allowed:
-            raise InputError(
-                f"{where}.{key}",
-                f"a keyword of scipy.stats.{name} ({', '.join(allowed)})",
-                repr(key),
-                nearest(key, (*allowed, *other_keys)),
-            )
+            expected = f"a keyword of scipy.stats.{name} ({', '.join(allowed)})"
+            hint = nearest(key, (*allowed, *other_keys))
+            raise InputError(f"{where}.{key}", expected, repr(key), hint)
     for key in allowed:
         if key not in keywords and key not in ("loc", "scale"):
-            raise InputError(
-                f"{where}.{key}",
-                f"the shape {key} that scipy.stats.{name} needs",
-                "nothing",
-                f"add {key} = …",
-            )
+            expected = f"the shape {key} that scipy.stats.{name} needs"
+            raise InputError(f"{where}.{key}", expected, "nothing", f"add {key} = …")
     numbers = {
         key: finite_number(f"{where}.{key}", keywords[key]) for key in allowed if key in keywords
     }
@@ -282,7 +270,7 @@ def check_keywords(
             repr(keywords["scale"]),
             "give the width, or use fixed = … for a value that is certain",
         )
-    low, high = (float(end) for end in _frozen(name, numbers).support())
+    low, high = _support(name, numbers, None, None)
     if math.isnan(low) or math.isnan(high):
         raise InputError(
             where,
@@ -326,9 +314,8 @@ def _bounded_support(
     where: str, name: str, keywords: Mapping[str, float], low: float | None, high: float | None
 ) -> tuple[float, float]:
     if low is not None and high is not None and low >= high:
-        raise InputError(
-            f"{where}.low", f"a lower bound below high = {high!r}", repr(low), "swap the two bounds"
-        )
+        expected = f"a lower bound below high = {high!r}"
+        raise InputError(f"{where}.low", expected, repr(low), "swap the two bounds")
     left, right = _support(name, keywords, low, high)
     if left >= right:
         _check_mass(where, name, 0.0, low, high)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.distributions import Distribution, standard_columns
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 
 
@@ -108,13 +108,9 @@ class ParameterSpace:
 
     def to_standard(self, parameters: Mapping[str, ArrayLike]) -> Array:
         """Inverse of :meth:`to_parameters`: the free ones of name → (...,) → z (..., d)."""
-        columns = [
-            distribution.standard_of(parameters[name])
-            for name, distribution in zip(self.names, self.distributions, strict=True)
-        ]
-        if not columns:
+        if not self.names:
             return np.empty((0,))
-        z = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        z = standard_columns(self.names, self.distributions, parameters)
         if self.joint is None:
             return z
         places = self._places(self.joint)

@@ -19,7 +19,7 @@ from typing import Final
 from scipy.special import ndtr
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import closest, finite_number, nearest
+from cassini_bayes.files.checks import check_known, closest, finite_number, nearest
 from cassini_bayes.files.toml_file import toml_bytes, toml_of
 from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
@@ -31,16 +31,7 @@ from cassini_bayes.spacecraft.parameters import (
     ParameterSpec,
     generic_parameters,
 )
-
-__all__ = [
-    "ZERO_CENTRED",
-    "Distribution",
-    "ParameterPrior",
-    "ParameterSpace",
-    "Priors",
-    "known_parameters",
-    "read_priors",
-]
+from cassini_bayes.spacecraft.reader import check_either
 
 ZERO_CENTRED: Final = (
     "thrust_individual_n",
@@ -54,12 +45,8 @@ _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier f
 _PRIOR_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
 _NEVER_NEGATIVE_BLOCKS: Final = ("tail-off", "wheel inertia", "mass", "noise")
 _BUT_SIGNED: Final = (
-    "rate_bias_x_rad_s",
-    "rate_bias_y_rad_s",
-    "rate_bias_z_rad_s",
-    "accelerometer_bias_m_s2",
-    "tail_pressure_exponent",
-    "tail_ageing_per_year",
+    *(f"rate_bias_{axis}_rad_s" for axis in "xyz"),
+    *("accelerometer_bias_m_s2", "tail_pressure_exponent", "tail_ageing_per_year"),
 )
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
@@ -100,9 +87,8 @@ class ParameterPrior:
     @property
     def median(self) -> float:
         """The distribution's median, or the fixed value."""
-        if self.distribution is None:
-            return self.mean
-        return float(self.distribution.quantile_of_standard(0.0))
+        own = self.distribution
+        return self.mean if own is None else float(own.quantile_of_standard(0.0))
 
     @property
     def sd(self) -> float:
@@ -151,19 +137,13 @@ class Priors:
             Names the file, the dotted key, who needs it (``why``) and what to add.
         """
         specs = known_parameters(self.spacecraft)
-        for name in names:
-            if name in self.parameters:
-                continue
-            if name not in specs:
-                raise InputError(
-                    f"{self.path}: parameters.{name}",
-                    f"a parameter of {self.spacecraft.name}, asked for by {why}",
-                    f"the unknown name {name!r}",
-                    nearest(name, specs),
-                )
+        for name in (name for name in names if name not in self.parameters):
+            where = f"{self.path}: parameters.{name}"
+            expected = f"a parameter of {self.spacecraft.name}, asked for by {why}"
+            check_known(where, name, specs, expected, f"the unknown name {name!r}")
             spec = specs[name]
             raise InputError(
-                f"{self.path}: parameters.{name}",
+                where,
                 f"a prior in {spec.unit} ({spec.meaning}), needed by {why}",
                 "no such table",
                 f"add [parameters.{name}] with dist or fixed, unit and source"
@@ -214,7 +194,7 @@ class Priors:
         free = [(p.spec, p.distribution) for p in chosen if p.distribution is not None]
         walked = [spec.name for spec, _ in free]
         return ParameterSpace(
-            names=tuple(spec.name for spec, _ in free),
+            names=tuple(walked),
             fixed={p.spec.name: p.fixed for p in chosen if p.fixed is not None},
             distributions=tuple(distribution for _, distribution in free),
             blocks=tuple(spec.block for spec, _ in free),
@@ -276,14 +256,9 @@ def read_priors(path: str | Path) -> Priors:
     """
     content = toml_bytes(Path(path), "a priors file")
     document = toml_of(content, str(path))
+    expected = "the tables spacecraft, parameters and branch, or from_fit"
     for key in document:
-        if key not in _TABLES:
-            raise InputError(
-                f"{path}: {key}",
-                "the tables spacecraft, parameters and branch, or from_fit",
-                f"the unknown key {key!r}",
-                nearest(key, _TABLES),
-            )
+        check_known(f"{path}: {key}", key, _TABLES, expected, f"the unknown key {key!r}")
     table_of_file = _table(f"{path}: spacecraft", document.get("spacecraft"))
     spacecraft = _read_spacecraft(Path(path), table_of_file)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
@@ -315,10 +290,8 @@ def _read_parameters(
     parameters = {}
     for name, entry in _table(where, value).items():
         key = f"{where}.{name}"
-        if name not in specs:
-            raise InputError(
-                key, f"a parameter of {spacecraft.name}", f"the name {name!r}", nearest(name, specs)
-            )
+        expected = f"a parameter of {spacecraft.name}"
+        check_known(key, name, specs, expected, f"the name {name!r}")
         parameters[name] = _read_parameter(key, specs[name], _table(key, entry))
     return parameters
 
@@ -330,25 +303,12 @@ def _read_branches(
     result = {}
     for name, table in _table(f"{path}: branch", value).items():
         where = f"{path}: branch.{name}"
-        if name not in spacecraft.branches:
-            raise InputError(
-                where,
-                f"a thruster branch of {spacecraft.name}",
-                repr(name),
-                nearest(name, spacecraft.branches),
-            )
+        spacecraft.check_branch(where, name)
         entries = _table(where, table)
         for key in entries:
-            if key != "parameters":
-                raise InputError(
-                    f"{where}.{key}",
-                    "the table parameters",
-                    repr(key),
-                    nearest(key, ["parameters"]),
-                )
-        result[name] = _read_parameters(
-            f"{where}.parameters", entries.get("parameters"), spacecraft
-        )
+            check_known(f"{where}.{key}", key, ["parameters"], "the table parameters")
+        place = f"{where}.parameters"
+        result[name] = _read_parameters(place, entries.get("parameters"), spacecraft)
     return result
 
 
@@ -385,23 +345,13 @@ def _read_spacecraft(path: Path, table: Mapping[str, object]) -> Spacecraft:
     where = f"{path}: spacecraft"
     known = ("name", "file", "branch", "wheels")
     for key in table:
-        if key not in known:
-            raise InputError(
-                f"{where}.{key}", f"one of {', '.join(known)}", repr(key), nearest(key, known)
-            )
-    if ("name" in table) == ("file" in table):
-        raise InputError(
-            where,
-            "either name (a built-in) or file (a TOML file beside this one)",
-            "both" if "name" in table else "neither",
-            'write e.g. name = "cassini"',
-        )
+        check_known(f"{where}.{key}", key, known)
+    check_either(where, "name" in table, "file" in table)
     if "name" in table:
         name = _text(f"{where}.name", table["name"], "the name of a built-in", 'e.g. "cassini"')
         if Path(name).suffix or Path(name).name != name:
-            raise InputError(
-                f"{where}.name", "the name of a built-in", repr(name), "use file = … for a file"
-            )
+            fix = "use file = … for a file"
+            raise InputError(f"{where}.name", "the name of a built-in", repr(name), fix)
         return load_spacecraft(name)
     file = _text(f"{where}.file", table["file"], "a path", "name the spacecraft's TOML file")
     return load_spacecraft(path.parent / file)
@@ -409,18 +359,12 @@ def _read_spacecraft(path: Path, table: Mapping[str, object]) -> Spacecraft:
 
 def _read_branch(where: str, value: object, spacecraft: Spacecraft) -> str:
     branch = _text(where, value, f"one of {', '.join(spacecraft.branches)}", "name the branch")
-    if branch not in spacecraft.branches:
-        raise InputError(
-            where,
-            f"a thruster branch of {spacecraft.name}",
-            repr(branch),
-            nearest(branch, spacecraft.branches),
-        )
+    spacecraft.check_branch(where, branch)
     return branch
 
 
 def _read_wheels(where: str, value: object, spacecraft: Spacecraft) -> tuple[int, ...]:
-    known = [wheel.number for wheel in spacecraft.wheels]
+    known = spacecraft.wheel_numbers
     wanted = f"a list of different wheels out of {known}"
     fix = f"write e.g. wheels = {known[:3]}"
     if not isinstance(value, list) or not value:
@@ -442,24 +386,19 @@ def _read_parameter(where: str, spec: ParameterSpec, table: Mapping[str, object]
             "keep one of them" if "dist" in table else "add one of them",
         )
     _check_unit(f"{where}.unit", spec, table.get("unit"))
-    source = _text(
-        f"{where}.source", table.get("source"), "where the belief comes from", "add source = …"
-    )
+    wanted = "where the belief comes from"
+    source = _text(f"{where}.source", table.get("source"), wanted, "add source = …")
     if "fixed" in table:
         return ParameterPrior(spec, None, _read_fixed(where, spec, table), source)
     distribution = _read_distribution(where, spec, table)
-    if spec.name in ZERO_CENTRED and distribution.loc != 0.0:
-        _refuse_off_centre(f"{where}.loc", distribution.loc)
+    _check_centre(f"{where}.loc", spec, distribution.loc)
     return ParameterPrior(spec, distribution, None, source)
 
 
-def _refuse_off_centre(where: str, value: float) -> None:
-    raise InputError(
-        where,
-        "0: departures are counted from the common thrust",
-        repr(value),
-        "move the mean into thrust_common_n",
-    )
+def _check_centre(where: str, spec: ParameterSpec, value: float) -> None:
+    if spec.name in ZERO_CENTRED and value != 0.0:
+        expected = "0: departures are counted from the common thrust"
+        raise InputError(where, expected, repr(value), "move the mean into thrust_common_n")
 
 
 def _check_unit(where: str, spec: ParameterSpec, unit: object) -> None:
@@ -485,16 +424,13 @@ def _read_fixed(where: str, spec: ParameterSpec, table: Mapping[str, object]) ->
         if key not in allowed:
             of_distribution = key in ("low", "high", "loc", "scale")
             hint = "leave it out" if of_distribution else nearest(key, allowed)
-            raise InputError(
-                f"{where}.{key}", f"one of {', '.join(allowed)} beside fixed", repr(key), hint
-            )
+            expected = f"one of {', '.join(allowed)} beside fixed"
+            raise InputError(f"{where}.{key}", expected, repr(key), hint)
     value = finite_number(f"{where}.fixed", table["fixed"], spec.unit)
-    if spec.name in ZERO_CENTRED and value != 0.0:
-        _refuse_off_centre(f"{where}.fixed", value)
+    _check_centre(f"{where}.fixed", spec, value)
     if _never_negative(spec) and value < 0:
-        raise InputError(
-            f"{where}.fixed", "a value of 0 or more", repr(value), f"{spec.meaning}: check the sign"
-        )
+        fix = f"{spec.meaning}: check the sign"
+        raise InputError(f"{where}.fixed", "a value of 0 or more", repr(value), fix)
     return value
 
 
@@ -502,9 +438,8 @@ def _read_distribution(
     where: str, spec: ParameterSpec, table: Mapping[str, object]
 ) -> Distribution:
     name = _text(f"{where}.dist", table["dist"], "a scipy.stats name", 'write e.g. dist = "norm"')
-    keywords = check_keywords(
-        where, name, {k: v for k, v in table.items() if k not in _PRIOR_KEYS}, _PRIOR_KEYS
-    )
+    own = {key: value for key, value in table.items() if key not in _PRIOR_KEYS}
+    keywords = check_keywords(where, name, own, _PRIOR_KEYS)
     low, high = (
         finite_number(f"{where}.{key}", table[key], spec.unit) if key in table else None
         for key in ("low", "high")

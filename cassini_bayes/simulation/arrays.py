@@ -11,7 +11,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import (
@@ -139,13 +139,7 @@ def _edges(
         "first_order_held": (delay, 0.0, delay, 0.0, rise, fall),
         "published_2005": (delay, 0.0, delay, jump, rise, fall),
     }
-    if shape not in edges:
-        raise InputError(
-            "scenario: propulsion.pulse_shape",
-            f"one of {', '.join(edges)}",
-            repr(shape),
-            nearest(shape, edges),
-        )
+    check_known("scenario: propulsion.pulse_shape", shape, edges)
     return edges[shape]
 
 
@@ -195,7 +189,7 @@ def wheel_loop(plan: Plan) -> kernel.WheelLoop:
     action = actions.get(plan.event.kind, kernel.TORQUE_WHEELS)
     return kernel.WheelLoop(
         action=kernel.TORQUE_WHEELS if uses_wheels(plan) else action,
-        target_rad_s=np.array(target, dtype=np.float64) / RPM_PER_RAD_S,
+        target_rad_s=floats(target) / RPM_PER_RAD_S,
         start_s=plan.event.start_s,
         torque_limit_n_m=plan.wheels.torque_limit_n_m,
         time_constant_s=plan.wheels.time_constant_s,
@@ -213,7 +207,7 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         burn = np.ascontiguousarray((pairs[:4].sum(axis=0) > 0).astype(np.float64))
         mean = float(np.mean([plan.thrust_n[name] for name in plan.thrusters]))
         acceleration = mean * plan.parameters["fsw_acceleration_factor"] / body.mass_kg
-    held = axes_by_thrusters(plan) > 0.0
+    held, band = axes_by_thrusters(plan) > 0.0, settings.proportional_band
     return kernel.RcsLaw(
         active=uses_thrusters(plan) and plan.event.thrusters_on,
         dead_band_rad=np.where(held, floats(settings.dead_band_rad), NEVER_REACHED_RAD),
@@ -224,9 +218,7 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         pulse_max_s=settings.pulse_max_s,
         pulse_resolution_s=settings.pulse_resolution_s,
         adaptive=settings.pulse_law == "adaptive",
-        proportional_band=settings.proportional_band
-        if settings.pulse_law == "proportional"
-        else 0.0,
+        proportional_band=band if settings.pulse_law == "proportional" else 0.0,
         minimum_off_s=settings.minimum_off_s,
         shared_only=settings.mapping == "shared",
         latency_cycles=settings.latency_cycles,
@@ -242,10 +234,8 @@ def _to_wheels(plan: Plan, axes: Array) -> Array:
     """Torque of each wheel per torque about every body axis (W, 3)."""
     hybrid, where = plan.event.hybrid, f"event {plan.event.id}: wheels"
     if hybrid is not None:
-        shares = np.zeros((axes.shape[1], 3))
-        shares[:, list(HELD_AXES[hybrid.controller])] = wheel_torques(
-            axes, hybrid.controller, where
-        )
+        shares, held = np.zeros((axes.shape[1], 3)), list(HELD_AXES[hybrid.controller])
+        shares[:, held] = wheel_torques(axes, hybrid.controller, where)
         return shares
     least = float(np.linalg.svd(axes, compute_uv=False)[-1])
     if uses_wheels(plan) and (axes.shape[1] < 3 or least < LEAST_SINGULAR_VALUE):
@@ -320,23 +310,15 @@ def turned(attitude: Array, angle: Array) -> Array:
     size = float(np.linalg.norm(angle))
     half = 0.5 * math.sin(0.5 * size) / (0.5 * size) if size > 0.0 else 0.5
     x, y, z = half * angle
-    s = math.cos(0.5 * size)
-    a, b, c, d = attitude
-    return np.array(
-        [
-            s * a + d * x + b * z - c * y,
-            s * b + d * y + c * x - a * z,
-            s * c + d * z + a * y - b * x,
-            s * d - a * x - b * y - c * z,
-        ]
-    )
+    result = np.empty(4)
+    kernel.turned(attitude, x, y, z, math.cos(0.5 * size), result)
+    return result
 
 
 def unit(vector: Sequence[float]) -> Array:
     """A vector over its length."""
-    array = np.array(vector, dtype=np.float64)
-    norm = float(np.linalg.norm(array))
-    return array / norm
+    array = floats(vector)
+    return array / float(np.linalg.norm(array))
 
 
 def floats(values: Sequence[float]) -> Array:

@@ -13,9 +13,16 @@ from types import MappingProxyType
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.files.checks import check_known, nearest
+from cassini_bayes.simulation.limits import (
+    Limit,
+    is_not_negative,
+    is_positive,
+    is_share,
+    limited,
+)
 from cassini_bayes.simulation.plan import Plan, Surge, TorquePulse, Vector, frozen_mapping
-from cassini_bayes.simulation.settings import LARGEST, SMALLEST, Appendage, EffectRequest
+from cassini_bayes.simulation.settings import Appendage, EffectRequest
 from cassini_bayes.spacecraft import Spacecraft
 
 Values = Mapping[str, float]
@@ -58,29 +65,19 @@ class Effect:
     further: tuple[str, ...] = ()
 
 
-def _axis_index(target: str) -> int:
-    return AXES.index(target)
-
-
 def _set(vector: Vector, index: int, value: float) -> Vector:
     changed = list(vector)
     changed[index] = value
     return (changed[0], changed[1], changed[2])
 
 
-def _thrust_scale(plan: Plan, _: str, values: Values) -> Plan:
-    return plan.with_thrust_factor(values["thrust_factor"])
-
-
-def _thruster_degraded(plan: Plan, target: str, values: Values) -> Plan:
-    return plan.with_thrust_factor(values["thrust_factor"], only=target)
+def _thrust_factor(plan: Plan, target: str, values: Values) -> Plan:
+    return plan.with_thrust_factor(values["thrust_factor"], only=target or None)
 
 
 def _thrust_warmup(plan: Plan, _: str, values: Values) -> Plan:
-    deficits = dict.fromkeys(plan.thrusters, values["warmup_deficit"])
-    return replace(
-        plan, warmup_deficit=frozen_mapping(deficits), warmup_time_s=values["warmup_time_s"]
-    )
+    deficits = frozen_mapping(dict.fromkeys(plan.thrusters, values["warmup_deficit"]))
+    return replace(plan, warmup_deficit=deficits, warmup_time_s=values["warmup_time_s"])
 
 
 def _parameters(plan: Plan, _: str, values: Values) -> Plan:
@@ -112,21 +109,18 @@ def _time_offset(plan: Plan, _: str, values: Values) -> Plan:
 
 
 def _rate_scale(plan: Plan, target: str, values: Values) -> Plan:
-    scale = _set(plan.misreading.rate_scale, _axis_index(target), values["rate_scale"])
+    scale = _set(plan.misreading.rate_scale, AXES.index(target), values["rate_scale"])
     return replace(plan, misreading=replace(plan.misreading, rate_scale=scale))
 
 
 def _flexible_mode(plan: Plan, _: str, values: Values) -> Plan:
-    index = int(values["axis"])
-    element = ELEMENTS[index]
-    fraction = values["inertia_fraction"]
-    inertia = fraction * plan.parameters[f"inertia_{element}_kg_m2"]
+    index, fraction = int(values["axis"]), values["inertia_fraction"]
     # what is given is the free spacecraft's mode; an appendage has the modes of a clamped one
     clamped = math.sqrt(1.0 - fraction)
     mode = Appendage(
         name="flexible_mode",
         axis=_set((0.0, 0.0, 0.0), index, 1.0),
-        inertia_kg_m2=inertia,
+        inertia_kg_m2=fraction * plan.parameters[f"inertia_{ELEMENTS[index]}_kg_m2"],
         frequency_hz=values["frequency_hz"] * clamped,
         damping=values["damping"] * clamped,
         # momentum is shared: I ω = −J_a θ̇ about the axis
@@ -164,78 +158,60 @@ def _plume(plan: Plan, target: str, values: Values) -> Plan:
     return replace(plan, plume=frozen_mapping({**plan.plume, target: values["lever_m"]}))
 
 
+_TILTS: Final = ("rwa{target}_tilt_u_rad", "rwa{target}_tilt_v_rad")
+_ARTICULATION: Final = ("rwa{target}_articulation_rad",)
+_TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in AXES)
+_MODE: Final = ("frequency_hz", "damping", "amplitude_rad_s")
+_USUAL_MODE: Final = frozen_mapping({"axis": 2.0, "inertia_fraction": FLEXIBLE_INERTIA_FRACTION})
+_USUAL_LOGIC: Final = frozen_mapping(
+    {"rate_gain_factor": 1.0, "dead_band_factor": 1.0, "hysteresis": 0.3}
+)
+_TORQUE_PULSE: Final = ("peak_x_n_m", "peak_y_n_m", "peak_z_n_m", "centre_s", "width_s")
+_SURGE: Final = ("thrust_fraction", "start_s", "decay_s")
 _ALL: Final = (
-    Effect("thrust_scale", ("thrust_factor",), None, _thrust_scale),
-    Effect("thruster_degraded", ("thrust_factor",), "thruster", _thruster_degraded),
+    Effect("thrust_scale", ("thrust_factor",), None, _thrust_factor),
+    Effect("thruster_degraded", ("thrust_factor",), "thruster", _thrust_factor),
     Effect("thrust_warmup", ("warmup_deficit", "warmup_time_s"), None, _thrust_warmup),
     Effect("tail_off", ("tau_fall_s",), None, _parameters),
     Effect("pulse_shape", ("impulse_time_offset_s",), None, _pulse_shape),
     Effect("center_of_mass", ("cm_{target}_m",), "axis", _parameters),
     Effect("wheel_inertia", ("rwa{target}_inertia_kg_m2",), "wheel", _parameters),
-    Effect(
-        "wheel_alignment",
-        ("rwa{target}_tilt_u_rad", "rwa{target}_tilt_v_rad"),
-        "tilting wheel",
-        _parameters,
-    ),
-    Effect(
-        "wheel_articulation",
-        ("rwa{target}_articulation_rad",),
-        "articulated wheel",
-        _articulation,
-    ),
+    Effect("wheel_alignment", _TILTS, "tilting wheel", _parameters),
+    Effect("wheel_articulation", _ARTICULATION, "articulated wheel", _articulation),
     Effect("thruster_misalignment", ("cant_a_rad", "cant_b_rad"), "thruster", _misalignment),
-    Effect(
-        "external_torque", tuple(f"external_torque_{axis}_n_m" for axis in AXES), None, _parameters
-    ),
+    Effect("external_torque", _TORQUES, None, _parameters),
     Effect("thruster_leak", ("leak_n",), "thruster", _leak, further=("start_s",)),
     Effect("inertia", ("inertia_{target}_kg_m2",), "element", _parameters),
     Effect("time_offset", ("time_offset_s",), None, _time_offset),
     Effect("rate_bias", ("rate_bias_{target}_rad_s",), "axis", _parameters),
     Effect("rate_scale", ("rate_scale",), "axis", _rate_scale),
-    Effect(
-        "flexible_mode",
-        ("frequency_hz", "damping", "amplitude_rad_s"),
-        None,
-        _flexible_mode,
-        optional=MappingProxyType({"axis": 2.0, "inertia_fraction": FLEXIBLE_INERTIA_FRACTION}),
-    ),
-    Effect(
-        "firing_logic",
-        (),
-        None,
-        _firing_logic,
-        optional=MappingProxyType(
-            {"rate_gain_factor": 1.0, "dead_band_factor": 1.0, "hysteresis": 0.3}
-        ),
-    ),
-    Effect(
-        "atmospheric_torque",
-        ("peak_x_n_m", "peak_y_n_m", "peak_z_n_m", "centre_s", "width_s"),
-        None,
-        _atmospheric_torque,
-        catalogued=False,
-    ),
-    Effect(
-        "pressure_surge",
-        ("thrust_fraction", "start_s", "decay_s"),
-        None,
-        _pressure_surge,
-        catalogued=False,
-    ),
+    Effect("flexible_mode", _MODE, None, _flexible_mode, optional=_USUAL_MODE),
+    Effect("firing_logic", (), None, _firing_logic, optional=_USUAL_LOGIC),
+    Effect("atmospheric_torque", _TORQUE_PULSE, None, _atmospheric_torque, catalogued=False),
+    Effect("pressure_surge", _SURGE, None, _pressure_surge, catalogued=False),
     Effect("tachometer_scale", ("slope_per_rpm",), None, _tachometer, catalogued=False),
     Effect("plume_impingement", ("lever_m",), "thruster", _plume, catalogued=False),
 )
 EFFECTS: Final[Mapping[str, Effect]] = MappingProxyType({effect.name: effect for effect in _ALL})
-_POSITIVE: Final = (
-    "thrust_factor",
-    "warmup_time_s",
-    "width_s",
-    "decay_s",
-    "frequency_hz",
-    "inertia_fraction",
+_LIMITS: Final = (
+    Limit(
+        "thrust_factor|warmup_time_s|width_s|decay_s|frequency_hz|inertia_fraction",
+        *(is_positive, "a number above 0", "give a size that is physical"),
+    ),
+    Limit(
+        ".*_inertia_kg_m2|inertia_(xx|yy|zz)_kg_m2",
+        *(is_positive, "a number above 0", "an inertia is positive"),
+    ),
+    Limit(
+        "leak_n|tau_fall_s|damping|warmup_deficit",
+        *(is_not_negative, "0 or more", "give a size that is physical"),
+    ),
+    Limit("warmup_deficit", is_share, "a fraction from 0 to 1", "1 is no thrust when cold"),
+    Limit("inertia_fraction", lambda x: x < 1.0, "a fraction below 1", "an appendage is a part"),
+    Limit("thrust_fraction", lambda x: x > -1.0, "more than -1", "-1 would be no thrust at all"),
+    Limit("axis", (0.0, 1.0, 2.0).__contains__, "0, 1 or 2 for x, y or z", "choose an axis"),
+    Limit("hysteresis", is_share, "a fraction from 0 to 1", "choose a fraction"),
 )
-_NOT_NEGATIVE: Final = ("leak_n", "tau_fall_s", "damping", "warmup_deficit")
 
 
 @dataclass(frozen=True)
@@ -290,61 +266,22 @@ def choose_effect(
         Unknown name or target, a parameter that is missing, unknown or impossible.
     """
     kind, _, target = request.name.partition(":")
-    if kind not in known:
-        raise InputError(
-            f"{where}.name", "the name of an effect", repr(request.name), nearest(kind, known)
-        )
+    check_known(f"{where}.name", kind, known, "the name of an effect", repr(request.name))
     effect = known[kind]
     targets = possible_targets(effect, spacecraft, branch, wheels)
     if effect.targets is None and target:
         raise InputError(f"{where}.name", repr(kind), repr(request.name), "drop the colon")
     if effect.targets is not None and target not in targets:
-        raise InputError(
-            f"{where}.name",
-            f"{kind}:<{effect.targets}>, one of {', '.join(targets) or 'none here'}",
-            repr(request.name),
-            nearest(target, targets),
-        )
+        expected = f"{kind}:<{effect.targets}>, one of {', '.join(targets) or 'none here'}"
+        raise InputError(f"{where}.name", expected, repr(request.name), nearest(target, targets))
     required = tuple(key.format(target=target) for key in effect.keys)
     keys = (*required, *effect.optional, *effect.further)
     for key in request.parameters:
-        if key not in keys:
-            raise InputError(
-                f"{where}.parameters.{key}",
-                f"one of {', '.join(keys) or 'none'}",
-                "an unknown parameter",
-                nearest(key, keys),
-            )
+        check_known(f"{where}.parameters.{key}", key, keys, got="an unknown parameter")
     for key in required:
         if key not in request.parameters:
             raise InputError(f"{where}.parameters.{key}", "a number", "nothing", f"add {key} = …")
     values = dict(effect.optional)
     for key, value in request.parameters.items():
-        values[key] = _checked(f"{where}.parameters.{key}", key, value)
+        values[key] = limited(f"{where}.parameters.{key}", key, value, _LIMITS)
     return ChosenEffect(effect, target, frozen_mapping(values), request.events)
-
-
-def _checked(where: str, key: str, value: object) -> float:
-    number = finite_number(where, value)
-    if abs(number) > LARGEST:
-        raise InputError(where, f"a number within ±{LARGEST:g}", repr(value), "check the unit")
-    if key in _POSITIVE and number < SMALLEST:
-        raise InputError(where, "a number above 0", repr(value), "give a size that is physical")
-    inertia = key.endswith("_inertia_kg_m2") or key in (
-        f"inertia_{element}_kg_m2" for element in ELEMENTS[:3]
-    )
-    if inertia and number < SMALLEST:
-        raise InputError(where, "a number above 0", repr(value), "an inertia is positive")
-    if key in _NOT_NEGATIVE and number < 0.0:
-        raise InputError(where, "0 or more", repr(value), "give a size that is physical")
-    if key == "warmup_deficit" and number > 1.0:
-        raise InputError(where, "a fraction from 0 to 1", repr(value), "1 is no thrust when cold")
-    if key == "inertia_fraction" and number >= 1.0:
-        raise InputError(where, "a fraction below 1", repr(value), "an appendage is a part")
-    if key == "thrust_fraction" and number <= -1.0:
-        raise InputError(where, "more than -1", repr(value), "-1 would be no thrust at all")
-    if key == "axis" and number not in (0.0, 1.0, 2.0):
-        raise InputError(where, "0, 1 or 2 for x, y or z", repr(value), "choose an axis")
-    if key == "hysteresis" and not 0.0 <= number <= 1.0:
-        raise InputError(where, "a fraction from 0 to 1", repr(value), "choose a fraction")
-    return number

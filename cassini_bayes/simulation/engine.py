@@ -90,7 +90,7 @@ def ramp_duration_s(plan: Plan) -> float:
 
 def event_duration_s(plan: Plan, cycle_s: float) -> float:
     """Duration of an event, a whole number of control cycles."""
-    event = plan.event
+    event, where = plan.event, f"event {plan.event.id}: duration_s"
     duration = event.duration_s
     if duration is None:
         if event.kind == "bias" and event.hybrid is None:
@@ -98,15 +98,11 @@ def event_duration_s(plan: Plan, cycle_s: float) -> float:
         elif event.slew:
             duration = max(s.start_s + s.duration_s for s in event.slew) + event.settle_s
         else:
-            raise InputError(
-                f"event {event.id}: duration_s",
-                f"the duration of a {event.kind} event",
-                "nothing",
-                "add duration_s = …",
-            )
+            expected = f"the duration of a {event.kind} event"
+            raise InputError(where, expected, "nothing", "add duration_s = …")
     if not cycle_s * (1.0 - 1e-9) <= duration <= MOST_CYCLES * cycle_s:
         raise InputError(
-            f"event {event.id}: duration_s",
+            where,
             f"1 to {MOST_CYCLES:,} control cycles of {cycle_s:g} s",
             f"{duration:g} s",
             "simulate it in parts; or check rates, limits and inertias if it was not given",
@@ -146,13 +142,9 @@ def simulate_motion(
         )
     body = make_body(plan)
     n_wheels = body.axes.shape[1]
-    n_thrusters = len(plan.thrusters)
     state = _start_state(plan, body, start_rng)
-    pulses = kernel.Pulses(
-        np.zeros((n_thrusters, n_cycles + 1)),
-        np.zeros((n_thrusters, n_cycles + 1)),
-        np.zeros(n_thrusters, dtype=np.int64),
-    )
+    starts, widths = np.zeros((2, len(plan.thrusters), n_cycles + 1))
+    pulses = kernel.Pulses(starts, widths, np.zeros(len(plan.thrusters), dtype=np.int64))
     record = kernel.empty_record(n_records, n_wheels, len(plan.appendages))
     attitude_knowledge, rate_knowledge = _knowledge(plan, n_cycles + 1, knowledge_rng)
     kernel.advance(
@@ -195,9 +187,7 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
     the rate normal; the wheels' start at rest on target, but for a hybrid's spin. The draws are
     made either way.
     """
-    error = (
-        rng.uniform(-1.0, 1.0, 3) * plan.start.attitude_spread * np.array(plan.rcs.dead_band_rad)
-    )
+    error = rng.uniform(-1.0, 1.0, 3) * plan.start.attitude_spread * floats(plan.rcs.dead_band_rad)
     rate = rng.standard_normal(3) * plan.start.rate_rad_s
     held = axes_by_thrusters(plan)
     error, rate = held * error, held * rate
@@ -205,8 +195,7 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
         rate[free_axis(plan.event.hybrid.controller)] += plan.event.hybrid.spin_rad_s
     eta_dot = floats([math.sqrt(a.inertia_kg_m2) * a.initial_rate_rad_s for a in plan.appendages])
     rate = rate - np.linalg.solve(body.inertia_kg_m2, body.couplings @ eta_dot)
-    base = unit(plan.event.attitude)
-    attitude = turned(base, error)
+    attitude = turned(unit(plan.event.attitude), error)
     wheels = np.array(plan.event.from_rpm) / RPM_PER_RAD_S
     return np.concatenate([attitude, rate, wheels, np.zeros(len(eta_dot)), eta_dot])
 

@@ -384,14 +384,29 @@ def specific_impulse(isp: Array, duty: float) -> float:
 
 
 @compiled
-def attitude_error(target: Array, y: Array, out: Array) -> None:
-    """Small-angle error of the attitude against the target, body axes, rad, into ``out``."""
+def turn_from(target: Array, y: Array) -> tuple[tuple[float, float, float], float]:
+    """The turn from the target to the attitude as a quaternion: vector and scalar."""
     tx, ty, tz, ts = target[0], target[1], target[2], target[3]
     x, yy, z, s = y[0], y[1], y[2], y[3]
     ex = ts * x - s * tx + (yy * tz - z * ty)
     ey = ts * yy - s * ty + (z * tx - x * tz)
     ez = ts * z - s * tz + (x * ty - yy * tx)
-    es = ts * s + tx * x + ty * yy + tz * z
+    return (ex, ey, ez), ts * s + tx * x + ty * yy + tz * z
+
+
+@compiled
+def turned(base: Array, x: float, y: float, z: float, scalar: float, out: Array) -> None:
+    """The attitude after a turn by a quaternion in body axes, into ``out``."""
+    out[0] = scalar * base[0] + base[3] * x + base[1] * z - base[2] * y
+    out[1] = scalar * base[1] + base[3] * y + base[2] * x - base[0] * z
+    out[2] = scalar * base[2] + base[3] * z + base[0] * y - base[1] * x
+    out[3] = scalar * base[3] - base[0] * x - base[1] * y - base[2] * z
+
+
+@compiled
+def attitude_error(target: Array, y: Array, out: Array) -> None:
+    """Small-angle error of the attitude against the target, body axes, rad, into ``out``."""
+    (ex, ey, ez), es = turn_from(target, y)
     sign = 2.0 if es >= 0.0 else -2.0
     out[0], out[1], out[2] = sign * ex, sign * ey, sign * ez
 
@@ -403,15 +418,8 @@ def direction_error(target: Array, y: Array, axis: int, out: Array) -> None:
     With t the target's axis in body axes (of C(y) C(target)ᵀ) it is t × axis: nothing along the
     axis itself, about which the body may have turned by any angle.
     """
-    tx, ty, tz, ts = target[0], target[1], target[2], target[3]
-    x, yy, z, s = y[0], y[1], y[2], y[3]
-    # the turn from target to body, as attitude_error has it
-    ex = ts * x - s * tx + (yy * tz - z * ty)
-    ey = ts * yy - s * ty + (z * tx - x * tz)
-    ez = ts * z - s * tz + (x * ty - yy * tx)
-    es = ts * s + tx * x + ty * yy + tz * z
+    turn, es = turn_from(target, y)
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    turn = (ex, ey, ez)
     # components of C[:, axis] across the axis, C = (s² − e·e) 1 + 2 e eᵀ − 2 s [e×]
     on_first = 2.0 * turn[first] * turn[axis] + 2.0 * es * (-turn[second])
     on_second = 2.0 * turn[second] * turn[axis] + 2.0 * es * turn[first]
@@ -442,20 +450,14 @@ def profile(
     if time <= 0.0 or peak == 0.0:
         return 0.0, 0.0, 0.0
     if time < ramp:
-        return (
-            sign * 0.5 * acceleration * time * time,
-            sign * acceleration * time,
-            sign * acceleration,
-        )
+        climbed = sign * 0.5 * acceleration * time * time
+        return climbed, sign * acceleration * time, sign * acceleration
     if time < ramp + cruise:
         return sign * peak * (time - 0.5 * ramp), sign * peak, 0.0
     left = 2.0 * ramp + cruise - time
     if left > 0.0:
-        return (
-            sign * (size - 0.5 * acceleration * left * left),
-            sign * acceleration * left,
-            -sign * acceleration,
-        )
+        reached = sign * (size - 0.5 * acceleration * left * left)
+        return reached, sign * acceleration * left, -sign * acceleration
     return sign * size, 0.0, 0.0
 
 
@@ -478,14 +480,10 @@ def slew_target(law: RwaLaw, time: float, target: Array, rate: Array, accelerati
         law.slew_rate_rad_s[current],
         law.slew_acceleration_rad_s2[current],
     )
-    base = law.slew_base[current]
     axis = law.slew_axis[current]
     sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
     x, y, z = sine * axis[0], sine * axis[1], sine * axis[2]
-    target[0] = cosine * base[0] + base[3] * x + base[1] * z - base[2] * y
-    target[1] = cosine * base[1] + base[3] * y + base[2] * x - base[0] * z
-    target[2] = cosine * base[2] + base[3] * z + base[0] * y - base[1] * x
-    target[3] = cosine * base[3] - base[0] * x - base[1] * y - base[2] * z
+    turned(law.slew_base[current], x, y, z, cosine, target)
     for i in range(3):
         rate[i] = speed * axis[i]
         acceleration[i] = ramp * axis[i]
@@ -584,6 +582,15 @@ def demanded_widths(law: RcsLaw, error: Array, rate: Array, time: float, memory:
 
 
 @compiled
+def is_shared(law: RcsLaw, widths: Array, row: int, k: int) -> bool:
+    """Whether another direction than that of a row demands a thruster as well."""
+    for other in range(6):
+        if other != row and widths[other] > 0.0 and law.pairs[other, k] > 0.0:
+            return True
+    return False
+
+
+@compiled
 def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> None:
     """Width commanded to every thruster, from the widths demanded of the six directions.
 
@@ -599,22 +606,11 @@ def thruster_widths(law: RcsLaw, widths: Array, burning: bool, out: Array) -> No
             continue
         overlaps = False
         for k in range(n_thrusters):
-            for other in range(6):
-                if (
-                    other != row
-                    and widths[other] > 0.0
-                    and law.pairs[row, k] > 0.0
-                    and law.pairs[other, k] > 0.0
-                ):
-                    overlaps = True
+            overlaps = overlaps or (law.pairs[row, k] > 0.0 and is_shared(law, widths, row, k))
         for k in range(n_thrusters):
             if law.pairs[row, k] == 0.0:
                 continue
-            common = False
-            for other in range(6):
-                if other != row and widths[other] > 0.0 and law.pairs[other, k] > 0.0:
-                    common = True
-            if common or not (overlaps and law.shared_only):
+            if is_shared(law, widths, row, k) or not (overlaps and law.shared_only):
                 out[k] = max(out[k], widths[row])
     if not burning:
         return
@@ -638,7 +634,7 @@ def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
         if widths[k] == 0.0:
             continue
         last = pulses.number[k] - 1
-        if last >= 0 and pulses.start_s[k, last] + pulses.width_s[k, last] > time - 1e-9:
+        if last_end_s(pulses, k) > time - 1e-9:
             pulses.width_s[k, last] = time + widths[k] - pulses.start_s[k, last]
         else:
             pulses.start_s[k, last + 1] = time
@@ -647,14 +643,17 @@ def log_pulses(pulses: Pulses, time: float, widths: Array) -> None:
 
 
 @compiled
+def last_end_s(pulses: Pulses, k: int) -> float:
+    """When the last pulse of a thruster ends; long ago where there was none."""
+    last = pulses.number[k] - 1
+    return pulses.start_s[k, last] + pulses.width_s[k, last] if last >= 0 else -math.inf
+
+
+@compiled
 def can_thrust(time: float, thrusters: Thrusters, pulses: Pulses, levels: Array) -> bool:
     """Whether any thruster can push in the control cycle that begins: a tail, or a pulse."""
     for k in range(levels.shape[0]):
-        count = pulses.number[k]
-        if count == 0:
-            continue
-        ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
-        if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
+        if levels[k] > 0.0 or time <= last_end_s(pulses, k) + thrusters.hold_end_delay_s:
             return True
     return False
 
@@ -687,15 +686,12 @@ def deliver(
         age = (time - thrusters.surge_start_s) / thrusters.surge_decay_s
         factor *= 1.0 + thrusters.surge_fraction * math.exp(-age)
     for k in range(thrusters.thrust_n.shape[0]):
-        count = pulses.number[k]
         delivered = 0.0
-        if count > 0:
-            ends = pulses.start_s[k, count - 1] + pulses.width_s[k, count - 1]
-            if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
-                on_time[k] += min(max(ends - time, 0.0), step)
-                levels[k], delivered = thrust_step(
-                    levels[k], time, step, pulses.start_s[k], pulses.width_s[k], count, thrusters
-                )
+        ends = last_end_s(pulses, k)
+        if levels[k] > 0.0 or time <= ends + thrusters.hold_end_delay_s:
+            on_time[k] += min(max(ends - time, 0.0), step)
+            on, width, count = pulses.start_s[k], pulses.width_s[k], pulses.number[k]
+            levels[k], delivered = thrust_step(levels[k], time, step, on, width, count, thrusters)
         if delivered == 0.0 and not leaking:
             continue
         thrusting = True
@@ -819,14 +815,10 @@ def advance(
                     rwa, body, loop, y, seen_error, rate_command, acceleration, motor, wheel_work
                 )
             if rcs.active and i < n_steps and time < rwa.free_from_s:
-                late = rcs.latency_cycles > 0 and cycle > 0
-                demanded_widths(
-                    rcs,
-                    old_error if late else seen_error,
-                    old_rate if late else seen_rate,
-                    time,
-                    memory,
-                )
+                if rcs.latency_cycles > 0 and cycle > 0:
+                    demanded_widths(rcs, old_error, old_rate, time, memory)
+                else:
+                    demanded_widths(rcs, seen_error, seen_rate, time, memory)
                 burning = burned < rcs.burn_delta_v_m_s and time >= rcs.burn_start_s
                 thruster_widths(rcs, memory[0], burning, widths)
                 log_pulses(pulses, time, widths)

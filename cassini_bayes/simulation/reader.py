@@ -11,28 +11,29 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.files.checks import check_known, finite_number
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import validated
 from cassini_bayes.simulation.effects import EFFECTS, ChosenEffect, Effect, choose_effect
-from cassini_bayes.simulation.settings import (
-    LARGEST,
-    SMALLEST,
-    EventSettings,
-    Scenario,
-    Vector,
-)
+from cassini_bayes.simulation.limits import Limit, is_angle, is_not_negative, is_positive, limited
+from cassini_bayes.simulation.settings import SMALLEST, EventSettings, Scenario, Vector
 from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import generic_parameters
+from cassini_bayes.spacecraft.reader import check_either
 
 DRAW_FROM: Final = "draw_from"
 _BY_THRUSTER: Final = ("thrust_individual_n", "thrust_jitter_n")
-_ABOVE_ZERO: Final = (
-    "thrust_common_n",
-    "mass_kg",
-    "mass_factor",
-    *(f"inertia_{axis}_kg_m2" for axis in ("xx", "yy", "zz")),
+_LIMITS: Final = (
+    Limit(".*_rad", is_angle, "an angle in rad, within a turn", "convert degrees"),
+    Limit(
+        "thrust_common_n|mass_kg|mass_factor|inertia_(xx|yy|zz)_kg_m2|.*_inertia_kg_m2",
+        *(is_positive, "a number above 0", "check sign and unit"),
+    ),
+    Limit(
+        "tau_.*|.*_noise_(rad_s|rpm|rad|m_s)|.*_resolution_(s|rpm)",
+        *(is_not_negative, "0 or more", "check the sign"),
+    ),
 )
 
 
@@ -132,12 +133,9 @@ def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
         place = f"{where}: event.{event.id}"
         _check_event(place, event, scenario)
         if event.id in taken:
-            raise InputError(
-                f"{place}.id",
-                f"a name other than {', '.join(taken)}",
-                repr(event.id),
-                "rename it: these stand beside the event folders",
-            )
+            expected = f"a name other than {', '.join(taken)}"
+            fix = "rename it: these stand beside the event folders"
+            raise InputError(f"{place}.id", expected, repr(event.id), fix)
         if event.id in seen:
             raise InputError(f"{place}.id", "each id once", f"{event.id!r} again", "rename it")
         seen.append(event.id)
@@ -156,10 +154,7 @@ def _effects(
     for request in scenario.effect:
         place = f"{where}: effect.{request.name}"
         for name in request.events or ():
-            if name not in ids:
-                raise InputError(
-                    f"{place}.events", "ids of events", repr(name), nearest(name, sorted(ids))
-                )
+            check_known(f"{place}.events", name, sorted(ids), "ids of events")
         table = scenario.spacecraft
         chosen = choose_effect(request, spacecraft, table.branch, table.wheels, place, known)
         effects.append(chosen)
@@ -168,28 +163,14 @@ def _effects(
 
 def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
     table = scenario.spacecraft
-    if (table.name is None) == (table.file is None):
-        raise InputError(
-            f"{where}: spacecraft",
-            "either name (a built-in) or file (a TOML file beside this one)",
-            "both" if table.name is not None else "neither",
-            'write e.g. name = "cassini"',
-        )
-    if table.name is not None:
-        return load_spacecraft(table.name)
-    return load_spacecraft(folder / str(table.file))
+    check_either(f"{where}: spacecraft", table.name is not None, table.file is not None)
+    return load_spacecraft(folder / str(table.file) if table.name is None else table.name)
 
 
 def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
     table = scenario.spacecraft
-    if table.branch not in spacecraft.branches:
-        raise InputError(
-            f"{where}: spacecraft.branch",
-            f"a thruster branch of {spacecraft.name}",
-            repr(table.branch),
-            nearest(table.branch, spacecraft.branches),
-        )
-    known = [wheel.number for wheel in spacecraft.wheels]
+    spacecraft.check_branch(f"{where}: spacecraft.branch", table.branch)
+    known = spacecraft.wheel_numbers
     for i, number in enumerate(table.wheels):
         if number not in known or number in table.wheels[:i]:
             raise InputError(
@@ -221,13 +202,8 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
         raise InputError(
             f"{where}.{needed}", f"a value for a {event.kind} event", "nothing", f"add {needed}"
         )
-    if event.kind in ("quiescent", "delta_v") and event.duration_s is None:
-        raise InputError(
-            f"{where}.duration_s",
-            f"the duration of a {event.kind} event",
-            "nothing",
-            "add duration_s = …",
-        )
+    if event.kind in ("quiescent", "delta_v"):
+        _check_duration(where, event, f"a {event.kind} event")
     for i, slew in enumerate(event.slew, start=1):
         _check_direction(f"{where}.slew[{i}].axis", slew.axis)
     in_time = sorted(event.slew, key=lambda slew: slew.start_s)
@@ -264,13 +240,14 @@ def _check_hybrid(where: str, event: EventSettings) -> None:
             str(list(event.to_rpm)),
             "leave to_rpm out, or hybrid",
         )
-    if not event.slew and event.duration_s is None:
-        raise InputError(
-            f"{where}.duration_s",
-            "the duration of an event without slews",
-            "nothing",
-            "add duration_s = …",
-        )
+    if not event.slew:
+        _check_duration(where, event, "an event without slews")
+
+
+def _check_duration(where: str, event: EventSettings, of: str) -> None:
+    if event.duration_s is None:
+        place, expected = f"{where}.duration_s", f"the duration of {of}"
+        raise InputError(place, expected, "nothing", "add duration_s = …")
 
 
 def _check_direction(where: str, axis: Vector) -> None:
@@ -288,13 +265,7 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
                 raise InputError(place, "the path of a priors file", repr(value), "name the file")
         elif key == "thrust_individual_n" and isinstance(value, dict):
             for thruster, departure in value.items():
-                if thruster not in thrusters:
-                    raise InputError(
-                        f"{place}.{thruster}",
-                        "a thruster of the branch",
-                        repr(thruster),
-                        nearest(thruster, thrusters),
-                    )
+                check_known(f"{place}.{thruster}", thruster, thrusters, "a thruster of the branch")
                 finite_number(f"{place}.{thruster}", departure, "N")
         else:
             _check_value(place, key, value, names)
@@ -319,26 +290,5 @@ def _check_value(place: str, key: str, value: object, names: list[str]) -> None:
             repr(value),
             "write e.g. thrust_individual_n = { z3 = -0.05 } under [truth]",
         )
-    if key not in names:
-        raise InputError(place, "the name of a parameter", repr(key), nearest(key, names))
-    number = finite_number(place, value)
-    if abs(number) > LARGEST:
-        raise InputError(place, f"a number within ±{LARGEST:g}", repr(value), "check the unit")
-    if key.endswith("_rad") and abs(number) > 2.0 * math.pi:
-        raise InputError(place, "an angle in rad, within a turn", repr(value), "convert degrees")
-    if key in _ABOVE_ZERO or key.endswith("_inertia_kg_m2"):
-        if number < SMALLEST:
-            raise InputError(place, "a number above 0", repr(value), "check sign and unit")
-        return
-    not_negative = key.startswith("tau_") or key.endswith(
-        (
-            "_noise_rad_s",
-            "_noise_rpm",
-            "_noise_rad",
-            "_noise_m_s",
-            "_resolution_s",
-            "_resolution_rpm",
-        )
-    )
-    if not_negative and number < 0.0:
-        raise InputError(place, "0 or more", repr(value), "check the sign")
+    check_known(place, key, names, "the name of a parameter")
+    limited(place, key, value, _LIMITS)

@@ -9,8 +9,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +26,7 @@ from cassini_bayes.simulation.streams import stream
 from cassini_bayes.spacecraft import thruster_directions
 
 DIGITS: Final = 12
+DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 _WITHOUT_COUNTERS: Final = ("slew", "quiescent")
 _TICK_MS: Final = 5
 
@@ -68,11 +69,12 @@ def observe(plan: Plan, motion: Motion, settings: TelemetrySettings, seed: int) 
     channels.attitude()
     channels.rates()
     channels.wheels()
-    if plan.event.kind not in _WITHOUT_COUNTERS:
+    counts = plan.event.kind not in _WITHOUT_COUNTERS
+    if counts:
         channels.counters()
     if has_delta_v(plan, settings):
         channels.delta_v()
-    if settings.accelerometer and plan.event.kind not in _WITHOUT_COUNTERS:
+    if settings.accelerometer and counts:
         channels.accelerometer()
     if settings.pressure:
         channels.pressure()
@@ -84,27 +86,32 @@ def has_delta_v(plan: Plan, settings: TelemetrySettings) -> bool:
     return settings.delta_v != "none" and plan.event.kind not in _WITHOUT_COUNTERS
 
 
+def level(plan: Plan, settings: TelemetrySettings, name: str) -> float:
+    """A noise or resolution: of the scenario's telemetry table, else of the truth, else 0."""
+    value = getattr(settings, name, None)
+    return float(plan.parameters.get(name, 0.0) if value is None else value)
+
+
+@dataclass
 class _Channels:
     """Columns while they are collected; dropped and unsampled cells are NaN."""
 
-    def __init__(self, plan: Plan, motion: Motion, settings: TelemetrySettings, seed: int) -> None:
-        self._plan = plan
-        self._motion = motion
-        self._settings = settings
-        self._seed = seed
-        self._columns: dict[str, Array] = {}
+    _plan: Plan
+    _motion: Motion
+    _settings: TelemetrySettings
+    _seed: int
+    _columns: dict[str, Array] = field(default_factory=dict)
 
     def _level(self, name: str) -> float:
-        """A noise or resolution: of the scenario's telemetry table, else of the truth, else 0."""
-        value = getattr(self._settings, name, None)
-        return float(self._plan.parameters.get(name, 0.0) if value is None else value)
+        return level(self._plan, self._settings, name)
 
-    def _noise(self, channel: str, width: int) -> Array:
+    def _noise(self, channel: str, width: int, sigma: float) -> Array:
         shape = (self._motion.time_s.size, width)
-        return stream(self._seed, self._plan.event.id, channel).standard_normal(shape)
+        return stream(self._seed, self._plan.event.id, channel).standard_normal(shape) * sigma
 
-    def _keep(self, channel: str, every_s: float, names: list[str], values: Array) -> None:
+    def _keep(self, channel: str, names: Sequence[str], values: Array) -> None:
         time = self._motion.time_s
+        every_s = getattr(self._settings, f"{channel.replace(' ', '_')}_every_s")
         phase = np.round(time / every_s)
         sampled = np.abs(time - phase * every_s) < 1e-6
         draws = stream(self._seed, self._plan.event.id, channel, "drop-out").random(time.size)
@@ -114,29 +121,25 @@ class _Channels:
             self._columns[name] = np.where(sampled, values[:, i], np.nan)
 
     def attitude(self) -> None:
-        angle = self._noise("attitude", 3) * self._level("attitude_noise_rad")
+        angle = self._noise("attitude", 3, self._level("attitude_noise_rad"))
         turned = _turned(self._motion.attitude, angle)
-        names = ["q1", "q2", "q3", "q4"]
-        self._keep("attitude", self._settings.attitude_every_s, names, turned)
+        self._keep("attitude", ("q1", "q2", "q3", "q4"), turned)
 
     def rates(self) -> None:
         parameters = self._plan.parameters
         bias = np.array([parameters[f"rate_bias_{axis}_rad_s"] for axis in "xyz"])
         scale = 1.0 + np.array(self._plan.misreading.rate_scale)
-        noise = self._noise("rate", 3) * self._level("rate_noise_rad_s")
-        values = stepped(
-            scale * self._motion.rate_rad_s + bias + noise, self._settings.rate_resolution_rad_s
-        )
+        noise = self._noise("rate", 3, self._level("rate_noise_rad_s"))
+        values = scale * self._motion.rate_rad_s + bias + noise
         names = [f"rate_{axis}_rad_s" for axis in "xyz"]
-        self._keep("rate", self._settings.rate_every_s, names, values)
+        self._keep("rate", names, stepped(values, self._settings.rate_resolution_rad_s))
 
     def wheels(self) -> None:
         speed = self._motion.wheels_rpm
         read = speed * (1.0 + self._plan.misreading.speed_slope_per_rpm * np.abs(speed))
-        noise = self._noise("wheel", speed.shape[1]) * self._level("wheel_noise_rpm")
-        values = stepped(read + noise, self._level("wheel_resolution_rpm"))
+        noise = self._noise("wheel", speed.shape[1], self._level("wheel_noise_rpm"))
         names = [f"{self._plan.spacecraft.wheel(n).name}_rpm" for n in self._plan.wheel_numbers]
-        self._keep("wheel", self._settings.wheel_every_s, names, values)
+        self._keep("wheel", names, stepped(read + noise, self._level("wheel_resolution_rpm")))
 
     def counters(self) -> None:
         shown = self._motion.time_s - self._plan.misreading.counters_late_s
@@ -146,30 +149,28 @@ class _Channels:
         pulses = np.stack([log.pulses(shown) for log in logs.values()], axis=1)
         names = [f"on_time_{name}_s" for name in logs] + [f"pulses_{name}" for name in logs]
         values = np.concatenate([stepped(on_time, resolution), pulses], axis=1)
-        self._keep("counter", self._settings.counter_every_s, names, values)
+        self._keep("counter", names, values)
 
     def delta_v(self) -> None:
         if self._settings.delta_v == "measured":
             values = self._motion.delta_v_body_m_s
         else:
             values = computed_delta_v_m_s(self._plan, self._motion, self._motion.time_s)
-        noise = self._noise("delta v", 3) * self._level("delta_v_noise_m_s")
+        noise = self._noise("delta v", 3, self._level("delta_v_noise_m_s"))
         values = stepped(values + noise, self._level("delta_v_resolution_m_s"))
-        names = [f"delta_v_{axis}_m_s" for axis in "xyz"]
-        self._keep("delta v", self._settings.delta_v_every_s, names, values)
+        self._keep("delta v", DELTA_V_COLUMNS, values)
 
     def accelerometer(self) -> None:
         """Whole counts N of (ΔV along Z − b t)/κ (paper 000 appendix D)."""
         parameters, motion = self._plan.parameters, self._motion
         drift = parameters["accelerometer_bias_m_s2"] * motion.time_s
         counts = (motion.delta_v_body_m_s[:, 2] - drift) / parameters["accelerometer_scale_m_s"]
-        every, names = self._settings.accelerometer_every_s, ["accelerometer_counts"]
-        self._keep("accelerometer", every, names, np.round(counts)[:, None])
+        self._keep("accelerometer", ("accelerometer_counts",), np.round(counts)[:, None])
 
     def pressure(self) -> None:
-        noise = self._noise("pressure", 1) * self._settings.pressure_noise_kpa
+        noise = self._noise("pressure", 1, self._settings.pressure_noise_kpa)
         values = self._motion.tank_pressure_kpa[:, None] + noise
-        self._keep("pressure", self._settings.pressure_every_s, ["tank_pressure_kpa"], values)
+        self._keep("pressure", ("tank_pressure_kpa",), values)
 
     def table(self) -> Telemetry:
         cells = np.stack(list(self._columns.values()), axis=1)
@@ -220,9 +221,8 @@ def hydrazine_g(plan: Plan, motion: Motion) -> float:
     for log in motion.pulses.values():
         on_time = float(log.width_s.sum())
         impulse = plan.parameters["thrust_common_n"] * on_time
-        grams += (
-            1000.0 * impulse / (STANDARD_GRAVITY_M_S2 * specific_impulse(isp, on_time / duration))
-        )
+        exhaust_m_s = STANDARD_GRAVITY_M_S2 * specific_impulse(isp, on_time / duration)
+        grams += 1000.0 * impulse / exhaust_m_s
     return grams
 
 
@@ -269,13 +269,10 @@ def totals_row(
     names = plan.thrusters
     delta_v = None
     if settings.delta_v != "none":
-        observed = observe(plan, motion, settings, seed)
-        delta_v = np.array(
-            [_last(observed.columns[f"delta_v_{axis}_m_s"]) for axis in "xyz"], dtype=np.float64
-        )
-    resolution = settings.on_time_resolution_s
-    if resolution is None:
-        resolution = plan.parameters.get("on_time_resolution_s", 0.0)
+        columns = observe(plan, motion, settings, seed).columns
+        sampled = [columns[name][~np.isnan(columns[name])] for name in DELTA_V_COLUMNS]
+        delta_v = np.array([values[-1] for values in sampled])
+    resolution = level(plan, settings, "on_time_resolution_s")
     on_time = np.array([float(motion.pulses[name].on_time_s(end)[0]) for name in names])
     return {
         "id": plan.event.id,
@@ -295,7 +292,3 @@ def totals_row(
         "thrust_predicted_n": plan.parameters["thrust_common_n"],
         "source": "simulation",
     }
-
-
-def _last(values: Array) -> float:
-    return float(values[~np.isnan(values)][-1])

@@ -17,9 +17,7 @@ TORQUE_NOISE: Final = "torque_noise_n_m_s05"  # where a scenario wants it
 DEFAULTS: Final[Mapping[str, float]] = {
     **{f"external_torque_{axis}_n_m": 0.0 for axis in "xyz"},
     **{f"rate_bias_{axis}_rad_s": 0.0 for axis in "xyz"},
-    "tau_delay_s": 0.0,
-    "tau_rise_s": 0.0,
-    "tau_fall_s": 0.0,
+    **{f"tau_{which}_s": 0.0 for which in ("delay", "rise", "fall")},
     "thrust_event_n": 0.0,
     "mass_factor": 1.0,
     "fsw_acceleration_factor": 1.0,

@@ -12,6 +12,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 
 CONTROL_CYCLE_S: Final = 0.125
@@ -123,9 +124,7 @@ class BranchGeometry:
     @classmethod
     def of(cls, thrusters: tuple[Thruster, ...]) -> BranchGeometry:
         """Build the arrays from the thrusters of one branch."""
-        names = tuple(
-            dict.fromkeys(name for thruster in thrusters for name in thruster.position_parameters)
-        )
+        names = tuple(dict.fromkeys(n for each in thrusters for n in each.position_parameters))
         constant = np.zeros((3, len(thrusters)))
         weights = np.zeros((len(names), 3, len(thrusters)))
         for k, thruster in enumerate(thrusters):
@@ -209,6 +208,21 @@ class Spacecraft:
                     f"add {wheel.number} to spacecraft.wheels, or leave the angle out",
                 )
 
+    @property
+    def wheel_numbers(self) -> list[int]:
+        """Numbers of all wheels, in file order."""
+        return [wheel.number for wheel in self.wheels]
+
+    def check_branch(self, where: str, branch: str) -> None:
+        """Check that the spacecraft has a thruster branch.
+
+        Raises
+        ------
+        InputError
+            It has not; ``where`` is the place that names it.
+        """
+        check_known(where, branch, self.branches, f"a thruster branch of {self.name}")
+
     def geometry_of(self, branch: str) -> BranchGeometry:
         """Arrays of a branch's thrusters.
 
@@ -250,7 +264,7 @@ class Spacecraft:
 
     def wheel_parameters(self, numbers: Iterable[int] | None = None) -> tuple[str, ...]:
         """Names of the parameters of some wheels, or of all, in file order."""
-        chosen = {wheel.number for wheel in self.wheels} if numbers is None else set(numbers)
+        chosen = set(self.wheel_numbers if numbers is None else numbers)
         return tuple(
             name for wheel in self.wheels if wheel.number in chosen for name in wheel.parameters
         )
@@ -268,7 +282,7 @@ class Spacecraft:
                 return wheel
         raise InputError(
             f"spacecraft {self.name}: wheel",
-            f"one of {', '.join(str(wheel.number) for wheel in self.wheels)}",
+            f"one of {', '.join(map(str, self.wheel_numbers))}",
             str(number),
             "choose a wheel of this spacecraft",
         )

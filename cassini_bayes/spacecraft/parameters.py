@@ -50,6 +50,11 @@ def _specs(block: str, unit: str, **meanings: str) -> tuple[ParameterSpec, ...]:
     return tuple(ParameterSpec(name, unit, block, text) for name, text in meanings.items())
 
 
+def _by_axis(name: str, meaning: str) -> dict[str, str]:
+    """Names and meanings of a parameter of each body axis."""
+    return {name.format(axis): meaning.format(axis.upper()) for axis in "xyz"}
+
+
 _GENERIC: Final = (
     *_specs(
         "thrust",
@@ -78,9 +83,7 @@ _GENERIC: Final = (
         tail_pressure_exponent="tail-off goes as (pressure / reference) to minus this power",
     ),
     *_specs(
-        "tail-off",
-        "1/year",
-        tail_ageing_per_year="relative change of the tail-off time a year",
+        "tail-off", "1/year", tail_ageing_per_year="relative change of the tail-off time a year"
     ),
     *_specs(
         "tail-off",
@@ -92,9 +95,7 @@ _GENERIC: Final = (
     *_specs(
         "centre of mass",
         "m",
-        cm_x_m="centre of mass, X, in the frame of the thruster positions",
-        cm_y_m="centre of mass, Y, in the frame of the thruster positions",
-        cm_z_m="centre of mass, Z, in the frame of the thruster positions",
+        **_by_axis("cm_{}_m", "centre of mass, {}, in the frame of the thruster positions"),
     ),
     *_specs(
         "tail-off",
@@ -116,16 +117,12 @@ _GENERIC: Final = (
     *_specs(
         "torque",
         "N m",
-        external_torque_x_n_m="steady external torque about body X",
-        external_torque_y_n_m="steady external torque about body Y",
-        external_torque_z_n_m="steady external torque about body Z",
+        **_by_axis("external_torque_{}_n_m", "steady external torque about body {}"),
     ),
     *_specs(
         "noise",
         "rad/s",
-        rate_bias_x_rad_s="gyro bias about body X, measured minus true",
-        rate_bias_y_rad_s="gyro bias about body Y, measured minus true",
-        rate_bias_z_rad_s="gyro bias about body Z, measured minus true",
+        **_by_axis("rate_bias_{}_rad_s", "gyro bias about body {}, measured minus true"),
         rate_noise_rad_s="white noise of a rate sample, 1 sigma",
         hold_rate_rad_s="body rate left in the dead-band at either end of a bias, 1 sigma per axis",
     ),
@@ -134,17 +131,13 @@ _GENERIC: Final = (
         "N m s0.5",
         torque_noise_n_m_s05="momentum gained from white torque noise in 1 s, 1 sigma per axis",
     ),
-    *_specs(
-        "mass",
-        "kg",
-        mass_kg="wet mass",
-    ),
+    *_specs("mass", "kg", mass_kg="wet mass"),
     *_specs(
         "mass",
         "1",
         hydrazine_used_factor="true over tabulated mass of hydrazine used",
+        mass_factor="factor common to the table masses of all events",
     ),
-    *_specs("mass", "1", mass_factor="factor common to the table masses of all events"),
     *_specs(
         "noise",
         "rpm",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.toml_file import toml_bytes, toml_of
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
@@ -99,15 +99,27 @@ def load_spacecraft(reference: str | Path) -> Spacecraft:
         return _build(content, str(reference))
     files = resources.files(__package__)
     names = [e.name.removesuffix(".toml") for e in files.iterdir() if e.name.endswith(".toml")]
-    if str(reference) not in names:
-        raise InputError(
-            "spacecraft",
-            f"a built-in spacecraft ({', '.join(names)}) or the path of a .toml file",
-            repr(str(reference)),
-            nearest(str(reference), names),
-        )
+    expected = f"a built-in spacecraft ({', '.join(names)}) or the path of a .toml file"
+    check_known("spacecraft", str(reference), names, expected)
     content = files.joinpath(f"{reference}.toml").read_bytes()
     return _build(content, f"{reference}.toml")
+
+
+def check_either(where: str, has_name: bool, has_file: bool) -> None:
+    """Check that a table names a built-in spacecraft, or else a file.
+
+    Raises
+    ------
+    InputError
+        It does both, or neither.
+    """
+    if has_name == has_file:
+        raise InputError(
+            where,
+            "either name (a built-in) or file (a TOML file beside this one)",
+            "both" if has_name else "neither",
+            'write e.g. name = "cassini"',
+        )
 
 
 def _build(content: bytes, where: str) -> Spacecraft:
@@ -136,20 +148,10 @@ def _build(content: bytes, where: str) -> Spacecraft:
 
 
 def _spec(name: str, table: _ParameterTable, place: str) -> ParameterSpec:
-    if table.block not in BLOCKS:
-        raise InputError(
-            f"{place}.block",
-            f"one of {', '.join(BLOCKS)}",
-            repr(table.block),
-            nearest(table.block, BLOCKS),
-        )
+    check_known(f"{place}.block", table.block, BLOCKS)
     if name in {spec.name for spec in generic_parameters()}:
-        raise InputError(
-            place,
-            "a name of the spacecraft's own",
-            f"{name!r}, which every spacecraft has",
-            "rename it, or leave it out",
-        )
+        expected, got = "a name of the spacecraft's own", f"{name!r}, which every spacecraft has"
+        raise InputError(place, expected, got, "rename it, or leave it out")
     return ParameterSpec(name, table.unit, table.block, table.meaning)
 
 
@@ -163,10 +165,7 @@ def _unique(values: Iterable[object], place: str) -> None:
 
 def _declared(name: str, specs: Mapping[str, ParameterSpec], unit: str, place: str) -> str:
     """``name``, once it is known to be a parameter of the file in the unit of its use."""
-    if name not in specs:
-        raise InputError(
-            place, "a parameter declared under [parameters]", repr(name), nearest(name, specs)
-        )
+    check_known(place, name, specs, "a parameter declared under [parameters]")
     if specs[name].unit != unit:
         raise InputError(
             place,
@@ -224,13 +223,7 @@ def _thruster(
 ) -> Thruster:
     _unique(table.branches, f"{place}.branches")
     for branch in table.branches:
-        if branch not in branches:
-            raise InputError(
-                f"{place}.branches",
-                f"out of {', '.join(branches)}",
-                repr(branch),
-                nearest(branch, branches),
-            )
+        check_known(f"{place}.branches", branch, branches, f"out of {', '.join(branches)}")
     position = tuple(
         _coordinate(entry, specs, f"{place}.position[{i}]")
         for i, entry in enumerate(table.position, start=1)
@@ -253,30 +246,20 @@ def _axis_pairs(file: _File, where: str) -> dict[str, tuple[str, ...]]:
     names = [thruster.name for thruster in file.thruster]
     for demand, pair in file.axis_pairs.items():
         place = f"{where}: axis_pairs.{demand}"
-        if demand not in AXIS_DEMANDS:
-            known = ", ".join(AXIS_DEMANDS)
-            raise InputError(
-                place, f"one of {known}", "an unknown key", nearest(demand, AXIS_DEMANDS)
-            )
+        check_known(place, demand, AXIS_DEMANDS, got="an unknown key")
         _unique(pair, place)
         for name in pair:
-            if name not in names:
-                raise InputError(place, "names of thrusters", repr(name), nearest(name, names))
+            check_known(place, name, names, "names of thrusters")
             if name in file.axis_pairs.get(_OPPOSITE[demand[0]] + demand[1], ()):
-                raise InputError(
-                    place,
-                    "thrusters that do not serve the opposite demand as well",
-                    repr(name),
-                    "name it on one side only",
-                )
+                expected = "thrusters that do not serve the opposite demand as well"
+                raise InputError(place, expected, repr(name), "name it on one side only")
     for demand in AXIS_DEMANDS:
         if not file.axis_pairs.get(demand):
-            raise InputError(
+            place, fix = (
                 f"{where}: axis_pairs.{demand}",
-                "names of thrusters",
-                "nothing",
                 "name the thrusters fired for this torque demand",
             )
+            raise InputError(place, "names of thrusters", "nothing", fix)
     return {demand: tuple(file.axis_pairs[demand]) for demand in AXIS_DEMANDS}
 
 

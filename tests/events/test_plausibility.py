@@ -223,8 +223,8 @@ def test_a_gain_is_that_of_the_evidence(honest: dict[str, Event], kind: str) -> 
     evidence = evidence_of(event, chunk)
     nominal, whole = evidence.nominal, evidence.momentum
     assert whole is not None
-    nothing = Correction.nothing(3, len(event.thrusters))
-    wrong = nothing.with_wheel(np.eye(3)[[1, 0, 2]])
+    nothing = Correction.nothing(nominal)
+    wrong = replace(nothing, wheel=np.eye(3)[[1, 0, 2]])
     names, design = nominal.departures
     noise = whole.noise(nominal, nothing)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -35,11 +35,9 @@ def turns_rad(attitude: Array) -> Array:
     return np.asarray(vector * (angle / np.where(size > 0.0, size, 1.0))[:, None])
 
 
-def read_as(attitude: Array) -> Mapping[str, Array]:
-    """The attitudes if the file had them in another convention, turned into ours."""
-    first = np.roll(attitude, -1, axis=1)
-    return {
-        "body → J2000": attitude * _CONJUGATE,
-        "scalar-first": first,
-        "scalar-first and body → J2000": first * _CONJUGATE,
-    }
+CONVENTIONS: Final[Mapping[str, Callable[[Array], Array]]] = {
+    "body → J2000": lambda attitude: attitude * _CONJUGATE,
+    "scalar-first": lambda attitude: np.roll(attitude, -1, axis=1),
+    "scalar-first and body → J2000": lambda attitude: np.roll(attitude, -1, axis=1) * _CONJUGATE,
+}
+"""What makes ours of attitudes (n, 4) that a file has in another convention."""

@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.attitudes import turns_rad
 from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
@@ -35,7 +34,6 @@ from cassini_bayes.events.plausibility.verdict import (
     Findings,
     Policy,
     best_explanations,
-    refuse_best,
 )
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.spacecraft import Spacecraft
@@ -92,7 +90,7 @@ class TelemetryCheck:
         parameters: Mapping[str, float],
         policy: Policy = STRICT,
     ) -> None:
-        self._event, self._policy = event, policy
+        self._event, self._policy, self._where = event, policy, str(event.telemetry)
         self._nominal = Nominal.of(
             spacecraft, event.branch, event.wheels, parameters, fires=bool(event.thrusters)
         )
@@ -112,14 +110,9 @@ class TelemetryCheck:
         self._rows.add(mended)
         self._pulses.add(mended)
         self._on_times.add(mended)
-        channels = (
-            chunk.attitude,
-            chunk.rate_rad_s,
-            chunk.wheel_rpm,
-            chunk.on_time_s,
-            chunk.pulses,
-        )
-        self._content.update(np.concatenate([chunk.time_s[:, None], *channels], axis=1).tobytes())
+        motion = (chunk.time_s[:, None], chunk.attitude, chunk.rate_rad_s)
+        table = np.concatenate([*motion, chunk.wheel_rpm, chunk.on_time_s, chunk.pulses], axis=1)
+        self._content.update(table.tobytes())
         return mended if self._policy.leave_out else chunk
 
     def verdict(self) -> Plausibility:
@@ -131,7 +124,7 @@ class TelemetryCheck:
             A mistake explains what physics does not, or the balance of momentum stays wide open.
             The message names the mistake that explains it best, and what would as well.
         """
-        findings = Findings()
+        findings = Findings(self._policy)
         self._check_pulses(findings)
         rows, motion = self._rows.rows(), self._rows.motion()
         if motion is not None:
@@ -144,8 +137,7 @@ class TelemetryCheck:
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
         elif best := self._likeliest(evidence):
-            where = str(self._event.telemetry)
-            refuse_best(where, ONE_MOTION, misfit, best, self._policy, findings)
+            findings.refuse_best(self._where, ONE_MOTION, misfit, best)
         self._check_on_times(findings)
         self._check_cells(findings)
         count = 0 if rows is None else len(rows.time_s)
@@ -160,32 +152,21 @@ class TelemetryCheck:
         what = "1 cell that does" if count == 1 else f"{count} cells that do"
         said = f"{what} not fit: " + "; ".join(map(str, worst))
         if self._policy.leave_out:
-            findings.sentences.append(f"{self._event.telemetry}: left out {said}")
+            findings.sentences.append(f"{self._where}: left out {said}")
             return
-        findings.refuse(
-            self._policy,
-            "bad-cell",
-            InputError(
-                str(self._event.telemetry),
-                "cells that fit those before and after them",
-                said,
-                "empty the row's cells of that channel, or leave them out with --leave-out",
-            ),
-        )
+        expected = "cells that fit those before and after them"
+        fix = "empty the row's cells of that channel, or leave them out with --leave-out"
+        findings.refuse("bad-cell", self._where, expected, said, fix)
 
     def _check_pulses(self, findings: Findings) -> None:
-        if self._pulses.counted == 1:
-            return
-        findings.refuse(
-            self._policy,
-            "pulse-count",
-            InputError(
-                f"{self._event.telemetry}: columns pulses_…",
+        if self._pulses.counted > 1:
+            findings.refuse(
+                "pulse-count",
+                f"{self._where}: columns pulses_…",
                 "every pulse counted once",
                 f"counts that all grow by multiples of {self._pulses.counted}",
                 f"divide them by {self._pulses.counted}",
-            ),
-        )
+            )
 
     def _check_on_times(self, findings: Findings) -> None:
         """No thruster fires for longer than time passes."""
@@ -194,14 +175,11 @@ class TelemetryCheck:
             return
         thruster = self._event.thrusters[int(np.argmax(excess_s))]
         findings.refuse(
-            self._policy,
             "on-time-unit",
-            InputError(
-                f"{self._event.telemetry}: column on_time_{thruster}_s",
-                "at most the time that passes between two readings",
-                f"{excess_s.max():.6g} s more: on-times that look like ms",
-                "give on_time_…_s in seconds",
-            ),
+            f"{self._where}: column on_time_{thruster}_s",
+            "at most the time that passes between two readings",
+            f"{excess_s.max():.6g} s more: on-times that look like ms",
+            "give on_time_…_s in seconds",
         )
 
     def _check_still_rates(self, motion: Motion, findings: Findings) -> None:
@@ -212,16 +190,13 @@ class TelemetryCheck:
         still = np.ptp(motion.rate_rad_s, axis=0) == 0.0
         moves = np.abs(wobble).max(axis=0) > np.maximum(SILENT_SIGMAS * noise, LEAST_TURN_RAD)
         for axis in np.flatnonzero(still & moves):
+            turned = np.abs(wobble[:, axis]).max()
             findings.refuse(
-                self._policy,
                 "rate-silent",
-                InputError(
-                    f"{self._event.telemetry}: column rate_{AXES[axis]}_rad_s",
-                    "the body rate of an attitude that turns to and fro by"
-                    f" {np.abs(wobble[:, axis]).max():.3g} rad",
-                    f"{motion.rate_rad_s[0, axis]:.6g} in every row",
-                    "give the body rate about that axis",
-                ),
+                f"{self._where}: column rate_{AXES[axis]}_rad_s",
+                f"the body rate of an attitude that turns to and fro by {turned:.3g} rad",
+                f"{motion.rate_rad_s[0, axis]:.6g} in every row",
+                "give the body rate about that axis",
             )
 
     def _likeliest(self, evidence: Evidence) -> tuple[Explanation, ...]:
@@ -230,8 +205,7 @@ class TelemetryCheck:
         return likelier_rates(evidence) or likeliest(evidence, event.wheels, event.thrusters)
 
     def _explain(self, evidence: Evidence, misfit: float, findings: Findings) -> None:
-        event = self._event
-        where = str(event.telemetry)
+        event, where = self._event, self._where
         sharper = with_noise_of_lags(evidence)
         found = list(explanations(sharper, event.wheels, event.thrusters))
         physical = min((each.score for each in found if each.mistake == PHYSICS), default=np.inf)
@@ -243,7 +217,7 @@ class TelemetryCheck:
         best = best or self._likeliest(evidence)
         if best:
             best = with_scaled_rates(evidence, best)
-            refuse_best(where, ONE_MOTION, misfit, best, self._policy, findings)
+            findings.refuse_best(where, ONE_MOTION, misfit, best)
             return
         if misfit <= SUSPECT:
             return
@@ -254,24 +228,19 @@ class TelemetryCheck:
         said = f"{100.0 * share:.3g} % of the exchanged momentum unexplained"
         if share > OPEN:
             findings.refuse(
-                self._policy,
                 "open-balance",
-                InputError(
-                    where,
-                    "a momentum balance that closes at nominal values",
-                    f"{said} (misfit {misfit:.3g}); no single mistake of a channel explains it",
-                    "check kind, branch and wheels in event.toml, the columns' order, signs and"
-                    " units, and that the nominal values are this spacecraft's",
-                ),
+                where,
+                "a momentum balance that closes at nominal values",
+                f"{said} (misfit {misfit:.3g}); no single mistake of a channel explains it",
+                "check kind, branch and wheels in event.toml, the columns' order, signs and"
+                " units, and that the nominal values are this spacecraft's",
             )
-            return
-        if misfit < UNKNOWN:
-            return
-        findings.sentences.append(
-            f"{where}: something that no catalogued effect and no single mistake of a channel"
-            f" explains (misfit {misfit:.3g}, honest events stay below {UNKNOWN:g}; {said}):"
-            " diagnose it"
-        )
+        elif misfit >= UNKNOWN:
+            findings.sentences.append(
+                f"{where}: something that no catalogued effect and no single mistake of a channel"
+                f" explains (misfit {misfit:.3g}, honest events stay below {UNKNOWN:g}; {said}):"
+                " diagnose it"
+            )
 
 
 def check_telemetry(

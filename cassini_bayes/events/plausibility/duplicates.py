@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.verdict import STRICT, Findings, Policy
 from cassini_bayes.events.totals import TotalsEvent
 
@@ -38,19 +37,16 @@ def refuse_duplicates(
     InputError
         Two events hold the same.
     """
-    findings = Findings()
+    findings = Findings(policy)
     first: dict[str, str] = {}
     for where, content in contents:
         if content in first:
             findings.refuse(
-                policy,
                 "same-telemetry",
-                InputError(
-                    where,
-                    "each event's data once",
-                    f"the data of {first[content]} under another name",
-                    "leave one of the two out: they would count twice",
-                ),
+                where,
+                "each event's data once",
+                f"the data of {first[content]} under another name",
+                "leave one of the two out: they would count twice",
             )
         first.setdefault(content, where)
     return tuple(findings.sentences)

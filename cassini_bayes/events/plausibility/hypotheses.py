@@ -11,7 +11,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.plausibility.attitudes import read_as
+from cassini_bayes.events.plausibility.attitudes import CONVENTIONS
 from cassini_bayes.events.plausibility.momentum import (
     WIDTHS,
     Correction,
@@ -123,13 +123,22 @@ class Evidence:
     @cached_property
     def as_recorded(self) -> Correction:
         """Nothing corrected."""
-        return Correction.nothing(self.nominal.spins.shape[1], self.nominal.torques.shape[1])
+        return Correction.nothing(self.nominal)
 
     def balance(self, correction: Correction | None = None) -> MomentumFit | None:
         """The momentum balance with a correction."""
         if self.momentum is None:
             return None
         return self.momentum.fit(self.nominal, correction or self.as_recorded)
+
+    def excess(self, correction: Correction | None = None) -> float:
+        """What it costs to close that balance; 0 without one."""
+        fit = self.balance(correction)
+        return 0.0 if fit is None else fit.excess
+
+    def excess_across(self, axis: Array) -> float:
+        """What it costs where nothing is known along a body axis (3,)."""
+        return replace(self, along=axis).excess()
 
     def turned(self, rate: Array | None = None, axes: Sequence[int] = (0, 1, 2)) -> float:
         """What turns say against rates, beyond what chance makes of it: by size, by alignment."""
@@ -144,9 +153,8 @@ class Evidence:
     def misfit(self, correction: Correction | None = None, turned: float | None = None) -> float:
         """Misfit of motion and momentum; ``turned``: that of motion, where it is known already."""
         correction = correction or self.as_recorded
-        fit = self.balance(correction)
         turned = self.turned(correction.rate) if turned is None else turned
-        return (0.0 if fit is None else fit.excess) + turned
+        return self.excess(correction) + turned
 
 
 def with_swing(evidence: Evidence) -> Evidence:
@@ -162,13 +170,13 @@ def with_noise_of_lags(evidence: Evidence) -> Evidence:
 
     Firings at the wrong time look like noise, and in much noise everything fits.
     """
-    rows, motion = evidence.rows, evidence.motion
-    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+    shift = _shift_of_counters(evidence)
+    if shift is None:
         return evidence
-    shift, noises = _Shift(evidence, rows, motion, "counter-time"), [np.inf]
+    noises, enough = [np.inf], MOST_OF_ROWS * len(shift.rows.time_s)
     for late_s in shift.lags_s():
-        moved = shift.moved(rows, late_s)[1]
-        if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= MOST_OF_ROWS * len(rows.time_s):
+        moved = shift.moved(shift.rows, late_s)[1]
+        if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= enough:
             momentum = momentum_of(moved, evidence.nominal.torques)
             noises.append(momentum.noise(evidence.nominal, evidence.as_recorded))
     return replace(evidence, most_noise=SAME_NOISE * min(noises))
@@ -220,7 +228,8 @@ def _is_sharp(evidence: Evidence, correction: Correction, excess: float) -> bool
     wheel = correction.wheel
     if np.trace(wheel) >= len(wheel):
         return True
-    beside = [evidence.balance(correction.with_wheel(k * wheel)) for k in (1.0 / BESIDE, BESIDE)]
+    nearby = (replace(correction, wheel=k * wheel) for k in (1.0 / BESIDE, BESIDE))
+    beside = [evidence.balance(each) for each in nearby]
     return all(fit is not None and fit.excess > excess + SHARPER for fit in beside)
 
 
@@ -301,10 +310,9 @@ def likelier_rates(evidence: Evidence) -> tuple[Explanation, ...]:
     if turning is None:
         return ()
     recorded, found = turning.misfit(np.eye(3)), []
-    for named, matrix, factor in _rate_factors(turning):
+    for what, matrix, factor in _rate_factors(turning):
         if MOST_FACTOR**-1 < factor < MOST_FACTOR:
             gain = recorded - turning.misfit(matrix) - FREE_PRICE
-            what = f"{named} that have to be multiplied by {factor:.4g}"
             left = evidence.turned(matrix)
             found.append((gain, Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)))
     gain, best = max(found, key=lambda each: each[0], default=(0.0, None))
@@ -321,7 +329,7 @@ def with_scaled_rates(evidence: Evidence, best: Sequence[Explanation]) -> tuple[
         return tuple(best)
     nothing, found = evidence.as_recorded, list(best)
     for factor in (0.5, 2.0):
-        left = evidence.misfit(nothing.with_rate(factor * np.eye(3)))
+        left = evidence.misfit(replace(nothing, rate=factor * np.eye(3)))
         if left <= best[0].left + AS_GOOD:
             what = f"body rates that have to be multiplied by some {factor:g}"
             found.append(Explanation("rate-factor", what, RATE_FIX, left, best[0].price))
@@ -340,21 +348,20 @@ def _late_wheels(evidence: Evidence, undone: Undone) -> tuple[Explanation, ...]:
     late = max(shift.lags_s(), key=shift.raises, default=0.0)
     if abs(late) <= PHYSICAL_LAG_S or shift.raises(late) < LIKELIER + FREE_PRICE:
         return ()
-    what = f"{undone.what} that come some {abs(late):.3g} s {'late' if late > 0.0 else 'early'}"
+    what = f"{undone.what} that come some {abs(late):.3g} s {_late_or_early(late)}"
     left = evidence.misfit() * shift.share(late)
     return (Explanation(undone.mistake, what, undone.fix, left, undone.price),)
 
 
 def _with_physical_lag(evidence: Evidence) -> Evidence:
     """The same with counters as late or early as leaves least, within the catalogue's bound."""
-    rows, motion = evidence.rows, evidence.motion
-    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+    shift = _shift_of_counters(evidence)
+    if shift is None:
         return evidence
-    shift = _Shift(evidence, rows, motion, "counter-time")
-    late = max(_physical_lags_s(motion), key=shift.gain, default=0.0)
+    late = max(shift.physical_lags_s(), key=shift.gain, default=0.0)
     if not late or shift.gain(late) <= FREE_PRICE:
         return evidence
-    return replace(evidence, rows=shift.moved(rows, late)[1])
+    return replace(evidence, rows=shift.moved(shift.rows, late)[1])
 
 
 def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[Explanation]:
@@ -362,6 +369,7 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
     rows, nominal = evidence.rows, evidence.nominal
     if rows is None:
         return
+    long_s = LEAST_STILL * (rows.time_s[-1] - rows.time_s[0])
     for w, number in enumerate(wheels):
         column = rows.wheel_rpm[:, w]
         repeated = [
@@ -372,33 +380,22 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
         stood_s = _stood_still_s(rows.time_s, column)
         if repeated:
             what = f"repeats rwa{repeated[0]}_rpm"
-        elif stood_s > LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
+        elif stood_s > long_s:
             what = f"stands still for {stood_s:.4g} s"
         else:
             continue
-        across = replace(evidence, along=nominal.spins[:, w]).balance()
-        assert across is not None
-        yield Explanation(
-            "wheel-silent",
-            f"a column rwa{number}_rpm that {what}",
-            f"give the rate of wheel {number}",
-            SILENT * across.excess + evidence.turned(),
-            ORDER_PRICE,
-        )
+        what, fix = f"a column rwa{number}_rpm that {what}", f"give the rate of wheel {number}"
+        left = SILENT * evidence.excess_across(nominal.spins[:, w]) + evidence.turned()
+        yield Explanation("wheel-silent", what, fix, left, ORDER_PRICE)
     for axis in range(3):
         stood_s = _stood_still_s(rows.time_s, rows.rate_rad_s[:, axis])
-        if stood_s <= LEAST_STILL * (rows.time_s[-1] - rows.time_s[0]):
-            continue
-        others = [a for a in range(3) if a != axis]
-        across = replace(evidence, along=nominal.inertia[:, axis]).balance()
-        assert across is not None
-        yield Explanation(
-            "rate-silent",
-            f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s",
-            "give the body rate about that axis",
-            SILENT * (across.excess + evidence.turned(axes=others)),
-            ORDER_PRICE,
-        )
+        if stood_s > long_s:
+            others = [a for a in range(3) if a != axis]
+            excess = evidence.excess_across(nominal.inertia[:, axis])
+            left = SILENT * (excess + evidence.turned(axes=others))
+            what = f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s"
+            fix = "give the body rate about that axis"
+            yield Explanation("rate-silent", what, fix, left, ORDER_PRICE)
 
 
 def _stood_still_s(time_s: Array, values: Array) -> float:
@@ -413,14 +410,9 @@ def _of_thrusters(evidence: Evidence, thrusters: Sequence[str]) -> Iterator[Expl
         return
     nothing, still = evidence.as_recorded, evidence.turned()
     for unit, factor in on_time_units(evidence.rows).items():
-        fit = evidence.balance(replace(nothing, on_time=factor))
-        assert fit is not None
-        yield Explanation(
-            "on-time-unit",
-            f"on-times that look like {unit}",
-            "give on_time_…_s in seconds",
-            fit.excess + still,
-        )
+        what, fix = f"on-times that look like {unit}", "give on_time_…_s in seconds"
+        left = evidence.excess(replace(nothing, on_time=factor)) + still
+        yield Explanation("on-time-unit", what, fix, left)
     for each in of_counters(nothing, evidence.nominal, thrusters):
         yield from _scored(evidence, each)
 
@@ -467,71 +459,47 @@ def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
             f"{'-' if matrix[:, j].sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(matrix[:, j])))]}"
             for j in range(3)
         )
-        yield Explanation(
-            "rate-sign" if plain else "rate-axes",
-            f"columns of body rates x, y, z that look like {held}",
-            RATE_FIX,
-            evidence.misfit(nothing.with_rate(matrix)),
-            ORDER_PRICE,
-        )
+        mistake = "rate-sign" if plain else "rate-axes"
+        what = f"columns of body rates x, y, z that look like {held}"
+        left = evidence.misfit(replace(nothing, rate=matrix))
+        yield Explanation(mistake, what, RATE_FIX, left, ORDER_PRICE)
     # momentum alone does not speak of sizes: another factor changes the rates' noise with them
     if not known:
         return
     for unit, factor in RATE_UNITS.items():
-        yield Explanation(
-            "rate-unit",
-            f"body rates that look like {unit} (times {factor:.4g})",
-            RATE_FIX,
-            evidence.misfit(nothing.with_rate(factor * np.eye(3))),
-        )
-    yield from _of_rate_factors(evidence, turning)
-
-
-def _of_rate_factors(evidence: Evidence, turning: Turning) -> Iterator[Explanation]:
-    nothing = evidence.as_recorded
-    for named, matrix, factor in _rate_factors(turning):
-        yield Explanation(
-            "rate-factor",
-            f"{named} that have to be multiplied by {factor:.4g}",
-            RATE_FIX,
-            evidence.misfit(nothing.with_rate(matrix)),
-            FREE_PRICE,
-        )
+        what = f"body rates that look like {unit} (times {factor:.4g})"
+        left = evidence.misfit(replace(nothing, rate=factor * np.eye(3)))
+        yield Explanation("rate-unit", what, RATE_FIX, left)
+    for what, matrix, _ in _rate_factors(turning):
+        left = evidence.misfit(replace(nothing, rate=matrix))
+        yield Explanation("rate-factor", what, RATE_FIX, left, FREE_PRICE)
 
 
 def _rate_factors(turning: Turning) -> Iterator[tuple[str, Array, float]]:
-    """Which body rates, a matrix (3, 3), and the factor of them that fits turns best."""
+    """Body rates that need a factor in words, as a matrix (3, 3), and the one that fits best."""
     for axes in ((0, 1, 2), (0,), (1,), (2,)):
         factor = turning.factor(axes)
         if not np.isfinite(factor) or abs(factor - 1.0) < 0.5 * LEAST_FACTOR_STEP:
             continue
         matrix = np.eye(3)
         matrix[list(axes), list(axes)] = factor
-        yield (
-            "body rates" if len(axes) == 3 else f"body rates about {AXES[axes[0]]}",
-            matrix,
-            factor,
-        )
+        about = "" if len(axes) == 3 else f" about {AXES[axes[0]]}"
+        yield f"body rates{about} that have to be multiplied by {factor:.4g}", matrix, factor
 
 
 def _of_attitudes(evidence: Evidence) -> Iterator[Explanation]:
     motion, rows = evidence.motion, evidence.rows
     if motion is None:
         return
-    mended_rows = {} if rows is None else read_as(rows.attitude)
-    for name, attitude in read_as(motion.attitude).items():
+    fix = "give J2000 → body, scalar last, in q1 to q4"
+    for name, ours in CONVENTIONS.items():
         other = replace(
             evidence,
-            motion=replace(motion, attitude=attitude),
-            rows=None if rows is None else replace(rows, attitude=mended_rows[name]),
+            motion=replace(motion, attitude=ours(motion.attitude)),
+            rows=None if rows is None else replace(rows, attitude=ours(rows.attitude)),
         )
-        yield Explanation(
-            "attitude-convention",
-            f"quaternions that look {name}",
-            "give J2000 → body, scalar last, in q1 to q4",
-            other.misfit(),
-            ORDER_PRICE,
-        )
+        what = f"quaternions that look {name}"
+        yield Explanation("attitude-convention", what, fix, other.misfit(), ORDER_PRICE)
 
 
 def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
@@ -544,9 +512,8 @@ def _of_units_of_time(evidence: Evidence) -> Iterator[Explanation]:
             motion=replace(motion, time_s=factor * motion.time_s),
             rows=None if rows is None else replace(rows, time_s=factor * rows.time_s),
         )
-        yield Explanation(
-            "time-unit", f"times that look like {unit}", "give time_s in seconds", other.misfit()
-        )
+        what = f"times that look like {unit}"
+        yield Explanation("time-unit", what, "give time_s in seconds", other.misfit())
 
 
 def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
@@ -558,7 +525,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
     rows, motion = evidence.rows, evidence.motion
     if rows is None or motion is None:
         return
-    turned, row_s = evidence.turned(), _row_s(motion)
+    turned = evidence.turned()
     as_is: dict[float, float] = {}
     still: dict[float, float] = {}
     for name, what in _SHIFTED.items():
@@ -574,7 +541,7 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         if not grid:
             return  # rows further apart than any shift that is asked about
         near = min(grid, key=lambda late: grid[late])
-        step_s = max(row_s, 2.0 * abs(near) / MOST_SHIFTS)
+        step_s = max(shift.row_s, 2.0 * abs(near) / MOST_SHIFTS)
         for late in np.arange(0.5, 1.8, step_s / abs(near)) * near:
             whole = float(np.round(late / step_s) * step_s)
             if whole not in grid:
@@ -585,14 +552,14 @@ def _of_shifts(evidence: Evidence, misfit: float) -> Iterator[Explanation]:
         if abs(late) <= PHYSICAL_LAG_S and name != "counter-time":
             continue  # a boom's oscillation, too, looks like that
         # a lag is found to a row; so much of it may be rounding
-        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S + row_s
-        yield Explanation(
-            PHYSICS if physical else name,
-            f"{what} that come {abs(late):.3g} s {'late' if late > 0.0 else 'early'}",
-            "bring all channels to the same clock",
-            misfit * grid[late],
-            FREE_PRICE,
-        )
+        physical = name == "counter-time" and abs(late) <= PHYSICAL_LAG_S + shift.row_s
+        mistake, fix = PHYSICS if physical else name, "bring all channels to the same clock"
+        what = f"{what} that come {abs(late):.3g} s {_late_or_early(late)}"
+        yield Explanation(mistake, what, fix, misfit * grid[late], FREE_PRICE)
+
+
+def _late_or_early(late_s: float) -> str:
+    return "late" if late_s > 0.0 else "early"
 
 
 def _of_physical_lags(evidence: Evidence) -> Iterator[Explanation]:
@@ -600,24 +567,13 @@ def _of_physical_lags(evidence: Evidence) -> Iterator[Explanation]:
 
     The balance holds a lag to first order, which is not enough where pulses come quickly.
     """
-    rows, motion = evidence.rows, evidence.motion
-    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+    shift = _shift_of_counters(evidence)
+    if shift is None:
         return
-    shift, misfit = _Shift(evidence, rows, motion, "counter-time"), evidence.misfit()
-    for late in _physical_lags_s(motion):
+    misfit = evidence.misfit()
+    for late in shift.physical_lags_s():
         what = f"counters that come {late:.3g} s late"
         yield Explanation(PHYSICS, what, "", misfit * shift.share(late), FREE_PRICE)
-
-
-def _physical_lags_s(motion: Motion) -> list[float]:
-    """Whole rows that counters may be late by."""
-    row_s = _row_s(motion)
-    number = int(PHYSICAL_LAG_S / row_s)
-    return [row_s * n for n in range(-number, number + 1) if n]
-
-
-def _row_s(motion: Motion) -> float:
-    return float(np.median(np.diff(motion.time_s)))
 
 
 _SHIFTED: Final = {
@@ -646,11 +602,20 @@ class _Shift:
     still: dict[float, float] = field(default_factory=dict)
     known: dict[float, tuple[float, float]] = field(default_factory=dict)
 
+    @cached_property
+    def row_s(self) -> float:
+        """Time from row to row."""
+        return float(np.median(np.diff(self.motion.time_s)))
+
     def lags_s(self) -> list[float]:
         """Lags to begin with, in whole rows: between two of them counters are seldom known."""
-        row_s = _row_s(self.motion)
-        rows = sorted({round(late / row_s) for late in LATE_S} - {0})
-        return [row_s * n for n in (*(-n for n in rows), *rows)]
+        rows = sorted({round(late / self.row_s) for late in LATE_S} - {0})
+        return [self.row_s * n for n in (*(-n for n in rows), *rows)]
+
+    def physical_lags_s(self) -> list[float]:
+        """Whole rows that counters may be late by."""
+        number = int(PHYSICAL_LAG_S / self.row_s)
+        return [self.row_s * n for n in range(-number, number + 1) if n]
 
     def share(self, late_s: float) -> float:
         """What the shift leaves of the misfit of the same rows; 1 where none is."""
@@ -724,6 +689,14 @@ class _Shift:
         known = exact | (counters[after] == counters[after - 1]).all(axis=1)
         moved = replace(rows, on_time_s=whole.on_time_s[after], pulses=whole.pulses[after])
         return rows.only(known), moved.only(known)
+
+
+def _shift_of_counters(evidence: Evidence) -> _Shift | None:
+    """Counters moved in time; None where there are none, or no motion to time them by."""
+    rows, motion = evidence.rows, evidence.motion
+    if rows is None or motion is None or not evidence.nominal.torques.shape[1]:
+        return None
+    return _Shift(evidence, rows, motion, "counter-time")
 
 
 def _within(rows: AnyRows, margin_s: float) -> AnyRows:

@@ -15,7 +15,7 @@ units of the rows' noise, and the price together are the misfit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
 from typing import Final
@@ -107,7 +107,7 @@ class Nominal:
         fires: bool,
     ) -> Nominal:
         """From parameters by name; events that do not fire need none of the thrusters'."""
-        places = [[w.number for w in spacecraft.wheels].index(number) for number in wheels]
+        places = [spacecraft.wheel_numbers.index(number) for number in wheels]
         spins = wheel_axes(spacecraft, parameters) * wheel_inertias(spacecraft, parameters)
         torques = pushes = np.zeros((3, 0))
         if fires:
@@ -125,12 +125,12 @@ class Nominal:
     @cached_property
     def exchanges(self) -> Array:
         """Weights of what is to be explained, with thrusters as they are and exchanged."""
-        return targets_of(self.columns, self)
+        return targets_of(self)
 
     @cached_property
     def departures(self) -> tuple[tuple[str, ...], Array]:
         """Names and weights of what may depart."""
-        return nominal_departures(self.columns, self)
+        return nominal_departures(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,26 +154,15 @@ class Correction:
     on_time: float = 1.0
 
     @classmethod
-    def nothing(cls, wheels: int, thrusters: int) -> Correction:
-        """Everything as recorded."""
+    def nothing(cls, nominal: Nominal) -> Correction:
+        """Everything as recorded, of these wheels and thrusters."""
+        wheels, thrusters = nominal.spins.shape[1], nominal.torques.shape[1]
         return cls(np.eye(3), np.eye(wheels), np.eye(thrusters))
 
     @property
     def is_free(self) -> bool:
         """Whether a size is free."""
         return bool(self.offset.shape[1] or self.wheel_factor or self.wheel_jump or self.wheel_lag)
-
-    def with_rate(self, rate: Array) -> Correction:
-        """The same with other rates."""
-        return replace(self, rate=rate)
-
-    def with_wheel(self, wheel: Array) -> Correction:
-        """The same with other wheels."""
-        return replace(self, wheel=wheel)
-
-    def with_thruster(self, thruster: Array) -> Correction:
-        """The same with other thrusters."""
-        return replace(self, thruster=thruster)
 
 
 def exchanged(order: Array, pairs: Sequence[tuple[int, int]]) -> Array:
@@ -258,7 +247,7 @@ class Momentum:
 
     def swing_hz(self, nominal: Nominal, time_s: Array) -> float:
         """The frequency at which what stays open oscillates most, 0 where rows are too few."""
-        correction = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        correction = Correction.nothing(nominal)
         target, _, design, strength, axes, pull, _ = self._closed(nominal, correction)
         left = (self.flat @ (target + design @ (axes @ (pull / (strength + 1.0))))).reshape(-1, 3)
         span_s, row_s = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
@@ -276,7 +265,7 @@ class Momentum:
         Eigenvalues, eigenvectors and right-hand side of these, in units of the noise; its variance.
         """
         target = corrected(self.columns, nominal.exchanges[:, :1], correction)[:, 0]
-        names, design = self._present(*departures_of(self.columns, nominal, correction))
+        names, design = self._present(*departures_of(nominal, correction))
         variance = self.noise(nominal, correction) ** 2
         strength, axes = np.linalg.eigh(design.T @ self.gram @ design / variance)
         pull = -axes.T @ (design.T @ (self.gram @ target)) / variance
@@ -321,7 +310,7 @@ class Momentum:
         A correction moves what is to be closed by a column, once or, where its size is free, by as
         much as fits best; a factor is 1 and the size.
         """
-        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        nothing = Correction.nothing(nominal)
         noise = self.noise(nominal, nothing)
         target = nominal.exchanges[:, 0]
         moves = np.stack([self._move(nominal, target, each) for each in corrections], axis=1)
@@ -344,7 +333,7 @@ class Momentum:
         weights = np.concatenate([design, moves, nominal.exchanges[:, :1]], axis=1)
         inner = weights.T @ (self.gram @ weights) / noise**2
         number, wanders = len(names), np.array(names) == "drift"
-        nothing = Correction.nothing(nominal.spins.shape[1], nominal.torques.shape[1])
+        nothing = Correction.nothing(nominal)
         share, spread = self._impulse(names, nominal, nothing)
         right = np.column_stack([inner[:number, number:], share])
         for level in DRIFT_LEVELS:
@@ -368,23 +357,17 @@ class Momentum:
 
     def _move(self, nominal: Nominal, target: Array, correction: Correction) -> Array:
         """Weights (p,) by which a correction moves what is to be closed, at a size of 1."""
-        for _, weights in free_columns(self.columns, nominal, correction):
+        for _, weights in free_columns(nominal, correction):
             return weights
         return corrected(self.columns, target[:, None], correction)[:, 0] - target
 
     def _impulse(
         self, names: Sequence[str], nominal: Nominal, correction: Correction
     ) -> tuple[Array, float]:
-        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance."""
-        share = self._share_of_impulse(names, nominal, correction)
-        # a tail may grow by more than there is of it, but not shrink
-        less = np.where(np.array(names) == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
-        return share, float(np.sum((less * share) ** 2))
+        """What 1 σ of each departure (J,) adds to the impulse of all firings, and its variance.
 
-    def _share_of_impulse(
-        self, names: Sequence[str], nominal: Nominal, correction: Correction
-    ) -> Array:
-        """What 1 σ of each departure (J,) adds to the impulse of all firings, as a share of it."""
+        Both as shares of the impulse.
+        """
         size = np.linalg.norm(nominal.torques, axis=0)
         pulses = size * (correction.thruster @ self.pulses)
         on = correction.on_time * size * (correction.thruster @ self.on_time_s)
@@ -395,7 +378,10 @@ class Momentum:
         share[kinds == "tail"] = WIDTHS["tail"] * pulses.sum()
         share[kinds == "thrust"] = WIDTHS["thrust"] * on
         share[kinds == "own tail"] = WIDTHS["own tail"] * pulses
-        return share / max(float(on.sum()), LEAST_IMPULSE)
+        share /= max(float(on.sum()), LEAST_IMPULSE)
+        # a tail may grow by more than there is of it, but not shrink
+        less = np.where(kinds == "tail", min(1.0, nominal.tail_s / WIDTHS["tail"]), 1)
+        return share, float(np.sum((less * share) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,7 +448,7 @@ def exchanges_of(nominal: Nominal) -> list[tuple[tuple[int, int], ...]]:
     return [*((pair,) for pair in pairs), *both]
 
 
-def targets_of(columns: Columns, nominal: Nominal) -> Array:
+def targets_of(nominal: Nominal) -> Array:
     """Weights (p, 1 + exchanges) of the total momentum less what nominal thrusters brought.
 
     First as it is, then with thrusters exchanged.
@@ -470,33 +456,29 @@ def targets_of(columns: Columns, nominal: Nominal) -> Array:
     orders = [np.eye(nominal.torques.shape[1])]
     orders += [exchanged(orders[0], pairs) for pairs in exchanges_of(nominal)]
     brought = [-nominal.torques @ order for order in orders]
-    targets = [
-        columns.weights(
-            rate=nominal.inertia, wheel=nominal.spins, fire=each, pulse=nominal.tail_s * each
-        )
-        for each in brought
-    ]
-    return np.stack(targets, axis=1)
+    whole = nominal.columns.weights(rate=nominal.inertia, wheel=nominal.spins)
+    return np.stack([whole + impulse_of(nominal, each) for each in brought], axis=1)
 
 
-def departures_of(
-    columns: Columns, nominal: Nominal, correction: Correction
-) -> tuple[tuple[str, ...], Array]:
+def impulse_of(nominal: Nominal, torques: Array) -> Array:
+    """Weights (p,) of what thrusters of these torques (3, K) bring: on-times and tails."""
+    return nominal.columns.weights(fire=torques, pulse=nominal.tail_s * torques)
+
+
+def departures_of(nominal: Nominal, correction: Correction) -> tuple[tuple[str, ...], Array]:
     """Names and weights (p, J) of everything that may depart, each at one standard deviation."""
     names, design = nominal.departures
-    free = free_columns(columns, nominal, correction)
+    free = free_columns(nominal, correction)
     if free:
         names += tuple(name for name, _ in free)
         sizes = np.stack([_FREE * weights for _, weights in free], axis=1)
         design = np.concatenate([design, sizes], axis=1)
-    return names, corrected(columns, design, correction)
+    return names, corrected(nominal.columns, design, correction)
 
 
-def free_columns(
-    columns: Columns, nominal: Nominal, correction: Correction
-) -> list[tuple[str, Array]]:
+def free_columns(nominal: Nominal, correction: Correction) -> list[tuple[str, Array]]:
     """Names and weights (p,) of what a correction leaves free, at a size of 1."""
-    wheels = np.eye(len(correction.wheel))
+    columns, wheels = nominal.columns, np.eye(len(correction.wheel))
     free = [("offset", columns.weights(fixed=axis)) for axis in correction.offset.T]
     for w in correction.wheel_factor:
         own = np.outer(nominal.spins[:, w], wheels[w])
@@ -509,9 +491,9 @@ def free_columns(
     return free
 
 
-def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, ...], Array]:
+def nominal_departures(nominal: Nominal) -> tuple[tuple[str, ...], Array]:
     """Names and weights (p, J) of the departures of true channels."""
-    each: list[tuple[str, Array]] = []
+    columns, each = nominal.columns, []
     size = float(np.trace(nominal.inertia)) / 3.0
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         unit = np.zeros((3, 3))
@@ -522,13 +504,13 @@ def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, .
             moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
             each.append(("wheel", columns.weights(wheel_around=np.outer(moved, one))))
     if nominal.torques.shape[1]:
-        each += _thruster_departures(columns, nominal)
+        each += _thruster_departures(nominal)
     for axis in np.eye(3):
         each.append(("torque", columns.weights(torque=WIDTHS["torque"] * axis)))
         each.append(("bias", columns.weights(bias=size * axis)))
         for mode in np.eye(DRIFT_MODES):
-            drift = columns.weights(drift=WIDTHS["drift"] * np.outer(axis, mode))
-            each.append(("drift", drift))
+            wandered = WIDTHS["drift"] * np.outer(axis, mode)
+            each.append(("drift", columns.weights(drift=wandered)))
         for mode in np.eye(CUT_MODES):
             cut = columns.weights(cut=WIDTHS["cut"] * np.outer(axis, mode))
             each.append(("cut", cut))
@@ -539,28 +521,24 @@ def nominal_departures(columns: Columns, nominal: Nominal) -> tuple[tuple[str, .
     return names, np.stack(vectors, axis=1)
 
 
-def _thruster_departures(columns: Columns, nominal: Nominal) -> list[tuple[str, Array]]:
-    tail = nominal.tail_s
-
-    def impulse(torques: Array) -> Array:
-        return columns.weights(fire=torques, pulse=tail * torques)
-
+def _thruster_departures(nominal: Nominal) -> list[tuple[str, Array]]:
+    columns = nominal.columns
     each = [
-        ("common", impulse(WIDTHS["common"] * nominal.torques)),
+        ("common", impulse_of(nominal, WIDTHS["common"] * nominal.torques)),
         ("tail", columns.weights(pulse=WIDTHS["tail"] * nominal.torques)),
         ("lag", columns.weights(flow=WIDTHS["lag"] * nominal.torques)),
     ]
     for axis in np.eye(3):
         moved = WIDTHS["centre"] * np.cross(axis, nominal.pushes, axisb=0, axisc=0)
-        each.append(("centre", impulse(moved)))
+        each.append(("centre", impulse_of(nominal, moved)))
     for one, torque in zip(np.eye(nominal.torques.shape[1]), nominal.torques.T, strict=True):
         own = np.outer(torque, one)
         each.append(("own tail", columns.weights(pulse=WIDTHS["own tail"] * own)))
         each.append(("warm-up", columns.weights(warm_up=WIDTHS["warm-up"] * own)))
-        each.append(("thrust", impulse(WIDTHS["thrust"] * own)))
+        each.append(("thrust", impulse_of(nominal, WIDTHS["thrust"] * own)))
         for axis in np.eye(3):
             moved = WIDTHS["cant"] * np.linalg.norm(torque) * axis
-            each.append(("cant", impulse(np.outer(moved, one))))
+            each.append(("cant", impulse_of(nominal, np.outer(moved, one))))
     return each
 
 
@@ -648,18 +626,10 @@ def momentum_of(
         smooth[max(row - 2, 0) : row] = False  # a wheel that jumps is no noise
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2])[smooth].reshape(-1, columns.size)
     gram, steps = flat.T @ flat, bends.T @ bends
-    bent = int(np.count_nonzero(smooth))
+    counts, rounding = int(np.count_nonzero(smooth)), rounding_of(rows)
+    on_time_s, pulses = (each[-1] - each[0] for each in (rows.on_time_s, rows.pulses))
     return Momentum(
-        columns,
-        flat,
-        gram,
-        steps,
-        count,
-        per_row,
-        bent,
-        rounding_of(rows),
-        rows.on_time_s[-1] - rows.on_time_s[0],
-        rows.pulses[-1] - rows.pulses[0],
+        *(columns, flat, gram, steps, count, per_row, counts, rounding, on_time_s, pulses)
     )
 
 

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, permutations, product
-from typing import Final
+from itertools import combinations
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.hypotheses import impossible_units
 from cassini_bayes.events.plausibility.momentum import (
     LEAST_IMPULSE,
@@ -26,14 +25,19 @@ from cassini_bayes.events.plausibility.momentum import (
     Nominal,
     vanishing,
 )
-from cassini_bayes.events.plausibility.undone import FREE_PRICE, ORDER_PRICE, WHEEL_UNITS
+from cassini_bayes.events.plausibility.undone import (
+    FREE_PRICE,
+    ORDER_PRICE,
+    WHEEL_UNITS,
+    other_orders,
+    other_signs,
+)
 from cassini_bayes.events.plausibility.verdict import (
     STRICT,
     Explanation,
     Findings,
     Policy,
     best_explanations,
-    refuse_best,
 )
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft
@@ -227,11 +231,11 @@ def check_totals(
         One mistake, in all rows or in one, explains what physics does not; or a table that nothing
         explains.
     """
-    findings = Findings()
+    findings = Findings(policy)
     rows = [TotalsRow.of(event) for event in events]
     if not rows:
         return ()
-    _check_on_times(events, where, policy, findings)
+    _check_on_times(events, where, findings)
     branch = events[0].branch
     nominals = {
         wheels: Nominal.of(spacecraft, branch, wheels, parameters, fires=True)
@@ -248,18 +252,15 @@ def check_totals(
     )
     expected = "wheel rates and on-times that exchange the same momentum"
     if best:
-        refuse_best(where, expected, misfit, best, policy, findings)
+        findings.refuse_best(where, expected, misfit, best)
     elif misfit > GROSS * len(rows):
         findings.refuse(
-            policy,
             "open-balance",
-            InputError(
-                where,
-                expected,
-                f"a misfit of {misfit:.3g} that no single mistake explains",
-                "check branch, wheels, signs and units, and that the nominal values are this"
-                " spacecraft's",
-            ),
+            where,
+            expected,
+            f"a misfit of {misfit:.3g} that no single mistake explains",
+            "check branch, wheels, signs and units, and that the nominal values are this"
+            " spacecraft's",
         )
     elif misfit > UNKNOWN_PER_ROW * len(rows):
         findings.sentences.append(
@@ -269,149 +270,114 @@ def check_totals(
     return tuple(findings.sentences)
 
 
-def _check_on_times(
-    events: Sequence[TotalsEvent], where: str, policy: Policy, findings: Findings
-) -> None:
+def _check_on_times(events: Sequence[TotalsEvent], where: str, findings: Findings) -> None:
     """No thruster fires for longer than its event lasts; the reader refuses such files itself."""
     for event in events:
         worst = int(np.argmax(event.on_time_s))
         if event.on_time_s[worst] > event.duration_s:
             findings.refuse(
-                policy,
                 "on-time-unit",
-                InputError(
-                    f"{where}: row {event.id}, on_time_{event.thrusters[worst]}_s",
-                    f"at most the {event.duration_s:g} s that the event lasts",
-                    f"{event.on_time_s[worst]:g} s: on-times that look like ms",
-                    "give on_time_…_s in seconds, or correct duration_s",
-                ),
+                f"{where}: row {event.id}, on_time_{event.thrusters[worst]}_s",
+                f"at most the {event.duration_s:g} s that the event lasts",
+                f"{event.on_time_s[worst]:g} s: on-times that look like ms",
+                "give on_time_…_s in seconds, or correct duration_s",
             )
             return
 
 
-Change = tuple[str, str, str, float]  # mistake, what, fix, price
+class _Change(NamedTuple):
+    """A mistake, what it looks like, how to mend the table, the rows with it undone, its price."""
+
+    mistake: str
+    what: str
+    fix: str
+    rows: list[TotalsRow]
+    price: float = ORDER_PRICE
 
 
 def _explanations(
     table: _Table, rows: Sequence[TotalsRow], thrusters: Sequence[str]
 ) -> Iterator[Explanation]:
     """Every mistake in all rows, in one row, in one cell."""
-    for (mistake, what, fix, price), changed in _changes(rows, thrusters):
+    for mistake, what, fix, changed, price in _changes(rows, thrusters):
         yield Explanation(mistake, f"{what} in every row", fix, table.misfit(changed), price)
     if len(rows) > 1:
+        of_rows = 2.0 * np.log(len(rows))
         for i, row in enumerate(rows):
-            for (mistake, what, fix, price), changed in _changes([row], thrusters):
-                mended = [*rows[:i], *changed, *rows[i + 1 :]]
-                yield Explanation(
-                    mistake,
-                    f"{what} in row {row.id}",
-                    fix,
-                    table.misfit(mended),
-                    price + 2.0 * np.log(len(rows)),
-                )
-    for k, name in enumerate(thrusters if len(rows) > 1 else ()):
-        for said, factor in DECADES.items():
-            own = np.where(np.arange(len(thrusters)) == k, factor, 1.0)
-            yield Explanation(
-                "on-time-unit",
-                f"on-times of {name} that look {said} in every row",
-                f"check the unit of on_time_{name}_s",
-                table.misfit([replace(row, on_time_s=own * row.on_time_s) for row in rows]),
-                2.0 * ORDER_PRICE,
-            )
-        fired = [table.nominals[row.wheels].torques[:, k] * row.on_time_s[k] for row in rows]
-        yield Explanation(
-            "on-time-unit",
-            f"on-times of {name} times a factor in every row",
-            f"check the unit of on_time_{name}_s",
-            table.misfit(rows, FACTOR * np.concatenate(fired)),
-            FREE_PRICE,
-        )
+            for mistake, what, fix, changed, price in _changes([row], thrusters):
+                left = table.misfit([*rows[:i], *changed, *rows[i + 1 :]])
+                yield Explanation(mistake, f"{what} in row {row.id}", fix, left, price + of_rows)
+        for k, name in enumerate(thrusters):
+            yield from _of_one_thruster(table, rows, k, name)
     for i, row in enumerate(rows):
         for column, direction in _cells(table, row, thrusters):
             free = np.zeros(3 * len(rows))
             free[3 * i : 3 * i + 3] = direction
-            yield Explanation(
-                "bad-cell",
-                f"a cell {column} of row {row.id} that does not fit",
-                "correct the cell, or leave out the row",
-                table.misfit(rows, free),
-                FREE_PRICE,
-            )
+            what = f"a cell {column} of row {row.id} that does not fit"
+            fix = "correct the cell, or leave out the row"
+            yield Explanation("bad-cell", what, fix, table.misfit(rows, free), FREE_PRICE)
 
 
-def _changes(
-    rows: Sequence[TotalsRow], thrusters: Sequence[str]
-) -> Iterator[tuple[Change, list[TotalsRow]]]:
+def _of_one_thruster(
+    table: _Table, rows: Sequence[TotalsRow], k: int, name: str
+) -> Iterator[Explanation]:
+    """On-times of one thruster off by a decade, or by any factor, in every row."""
+    fix = f"check the unit of on_time_{name}_s"
+    for said, factor in DECADES.items():
+        own = np.where(np.arange(len(rows[0].on_time_s)) == k, factor, 1.0)
+        what = f"on-times of {name} that look {said} in every row"
+        left = table.misfit(_with_on_times(rows, own))
+        yield Explanation("on-time-unit", what, fix, left, 2.0 * ORDER_PRICE)
+    fired = [table.nominals[row.wheels].torques[:, k] * row.on_time_s[k] for row in rows]
+    what = f"on-times of {name} times a factor in every row"
+    left = table.misfit(rows, FACTOR * np.concatenate(fired))
+    yield Explanation("on-time-unit", what, fix, left, FREE_PRICE)
+
+
+def _changes(rows: Sequence[TotalsRow], thrusters: Sequence[str]) -> Iterator[_Change]:
     """The rows with each mistake undone."""
-    yield (
-        ("start-end", "rates before and after exchanged", "exchange the columns", ORDER_PRICE),
-        [replace(row, start_rpm=row.end_rpm, end_rpm=row.start_rpm) for row in rows],
-    )
+    swapped = [replace(row, start_rpm=row.end_rpm, end_rpm=row.start_rpm) for row in rows]
+    yield _Change("start-end", "rates before and after exchanged", "exchange the columns", swapped)
     for unit, factor in WHEEL_UNITS.items():
-        yield (
-            ("wheel-unit", f"wheel rates that look like {unit}", "give rev/min", ORDER_PRICE),
-            [
-                replace(row, start_rpm=factor * row.start_rpm, end_rpm=factor * row.end_rpm)
-                for row in rows
-            ],
-        )
+        what = f"wheel rates that look like {unit}"
+        yield _Change("wheel-unit", what, "give rev/min", _with_rates(rows, factor))
     on, pulses = sum(row.on_time_s for row in rows), sum(row.pulses for row in rows)
     span_s = sum(row.duration_s for row in rows)
     for unit, factor in impossible_units(np.asarray(on), np.asarray(pulses), span_s).items():
-        yield (
-            ("on-time-unit", f"on-times that look like {unit}", "give seconds", ORDER_PRICE),
-            [replace(row, on_time_s=factor * row.on_time_s) for row in rows],
-        )
-    count = min(len(row.wheels) for row in rows)
-    same = len({row.wheels for row in rows}) == 1
-    for order in permutations(range(count)) if same else ():
-        if order == tuple(range(count)):
-            continue
-        back = np.argsort(order)
-        names = [rows[0].wheels[i] for i in order]
-        yield (
-            (
-                "wheel-order",
-                f"columns of wheels {list(rows[0].wheels)} that look like those of wheels {names}",
-                "correct the columns",
-                ORDER_PRICE,
-            ),
-            [
+        what = f"on-times that look like {unit}"
+        yield _Change("on-time-unit", what, "give seconds", _with_on_times(rows, factor))
+    wheels = rows[0].wheels
+    if all(row.wheels == wheels for row in rows):
+        for order, what in other_orders(wheels):
+            back = np.argsort(order)
+            changed = [
                 replace(row, start_rpm=row.start_rpm[back], end_rpm=row.end_rpm[back])
                 for row in rows
-            ],
-        )
-    for signs in product((1.0, -1.0), repeat=count) if same else ():
-        turned = [w for w, sign in zip(rows[0].wheels, signs, strict=True) if sign < 0.0]
-        if 0 < len(turned) < count:
-            yield (
-                (
-                    "wheel-sign",
-                    f"rates of wheels {turned} of the opposite sign",
-                    "give wheel rates about the wheels' own axes",
-                    ORDER_PRICE,
-                ),
-                [
-                    replace(row, start_rpm=row.start_rpm * signs, end_rpm=row.end_rpm * signs)
-                    for row in rows
-                ],
-            )
+            ]
+            yield _Change("wheel-order", what, "correct the columns", changed)
+        for signs, turned in other_signs(wheels):
+            if len(turned) < len(wheels):
+                what = f"rates of wheels {turned} of the opposite sign"
+                fix = "give wheel rates about the wheels' own axes"
+                yield _Change("wheel-sign", what, fix, _with_rates(rows, signs))
     for a, b in combinations(range(len(thrusters)), 2):
-        order_k = list(range(len(thrusters)))
-        order_k[a], order_k[b] = b, a
-        yield (
-            (
-                "thruster-order",
-                f"totals of thrusters exchanged, {thrusters[a]} with {thrusters[b]}",
-                "correct the columns",
-                2.0 * ORDER_PRICE,
-            ),
-            [
-                replace(row, on_time_s=row.on_time_s[order_k], pulses=row.pulses[order_k])
-                for row in rows
-            ],
-        )
+        places = list(range(len(thrusters)))
+        places[a], places[b] = b, a
+        changed = [
+            replace(row, on_time_s=row.on_time_s[places], pulses=row.pulses[places]) for row in rows
+        ]
+        what = f"totals of thrusters exchanged, {thrusters[a]} with {thrusters[b]}"
+        yield _Change("thruster-order", what, "correct the columns", changed, 2.0 * ORDER_PRICE)
+
+
+def _with_rates(rows: Sequence[TotalsRow], factor: float | Array) -> list[TotalsRow]:
+    return [
+        replace(row, start_rpm=factor * row.start_rpm, end_rpm=factor * row.end_rpm) for row in rows
+    ]
+
+
+def _with_on_times(rows: Sequence[TotalsRow], factor: float | Array) -> list[TotalsRow]:
+    return [replace(row, on_time_s=factor * row.on_time_s) for row in rows]
 
 
 def _cells(table: _Table, row: TotalsRow, thrusters: Sequence[str]) -> Iterator[tuple[str, Array]]:

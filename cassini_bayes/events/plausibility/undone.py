@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.momentum import (
     Correction,
     Nominal,
@@ -69,49 +70,48 @@ def of_wheels(
     """
     count, jumps_s = len(wheels), rows.time_s[largest_jumps(rows.wheel_rpm)]
     fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
-    for order in permutations(range(count)):
-        if order == tuple(range(count)):
-            continue
+    for order, what in other_orders(wheels):
         # column j of the file holds the wheel that stands at order[j]
         matrix = np.zeros((count, count))
         matrix[list(order), range(count)] = 1.0
-        names = [wheels[i] for i in order]
-        what = f"columns of wheels {list(wheels)} that look like those of wheels {names}"
-        yield Undone("wheel-order", what, fix, nothing.with_wheel(matrix), ORDER_PRICE)
+        yield Undone("wheel-order", what, fix, replace(nothing, wheel=matrix), ORDER_PRICE)
     fix = "give wheel rates about the wheels' own axes as the spacecraft file has them"
-    for signs in product((1.0, -1.0), repeat=count):
-        turned = [w for w, sign in zip(wheels, signs, strict=True) if sign < 0.0]
-        if not turned:
-            continue
+    for signs, turned in other_signs(wheels):
         named = "all wheels" if len(turned) == count else f"wheels {turned}"
         what = f"rates of {named} of the opposite sign"
-        yield Undone("wheel-sign", what, fix, nothing.with_wheel(np.diag(signs)), ORDER_PRICE)
+        yield Undone("wheel-sign", what, fix, replace(nothing, wheel=np.diag(signs)), ORDER_PRICE)
     fix = "convert the rwa…_rpm columns to rev/min"
     for unit, factor in WHEEL_UNITS.items():
         what = f"wheel rates that look like {unit} (times {factor:.4g})"
-        yield Undone("wheel-unit", what, fix, nothing.with_wheel(factor * np.eye(count)))
+        yield Undone("wheel-unit", what, fix, replace(nothing, wheel=factor * np.eye(count)))
     for w, number in enumerate(wheels):
-        yield Undone(
-            "wheel-factor",
-            f"a rate of wheel {number} that has to be multiplied by {{factor:.4g}}",
-            f"check the unit and scale of rwa{number}_rpm",
-            replace(nothing, wheel_factor=(w,)),
-            FREE_PRICE,
-        )
-        yield Undone(
-            "wheel-offset",
-            f"a rate of wheel {number} with a constant error",
-            f"check the zero of rwa{number}_rpm",
-            replace(nothing, offset=nominal.spins[:, [w]]),
-            FREE_PRICE,
-        )
-        yield Undone(
-            "wheel-offset",
-            f"a rate of wheel {number} with a constant error from {jumps_s[w]:.10g} s on",
-            f"check rwa{number}_rpm at that time",
-            replace(nothing, wheel_jump=(w,)),
-            FREE_PRICE,
-        )
+        rate, column = f"a rate of wheel {number}", f"rwa{number}_rpm"
+        scaled = replace(nothing, wheel_factor=(w,))
+        what = f"{rate} that has to be multiplied by {{factor:.4g}}"
+        fix = f"check the unit and scale of {column}"
+        yield Undone("wheel-factor", what, fix, scaled, FREE_PRICE)
+        moved = replace(nothing, offset=nominal.spins[:, [w]])
+        what = f"{rate} with a constant error"
+        yield Undone("wheel-offset", what, f"check the zero of {column}", moved, FREE_PRICE)
+        jumped = replace(nothing, wheel_jump=(w,))
+        what = f"{what} from {jumps_s[w]:.10g} s on"
+        yield Undone("wheel-offset", what, f"check {column} at that time", jumped, FREE_PRICE)
+
+
+def other_orders(wheels: Sequence[int]) -> Iterator[tuple[tuple[int, ...], str]]:
+    """Every other order of the wheels, and what columns that have it look like."""
+    for order in permutations(range(len(wheels))):
+        if order != tuple(range(len(wheels))):
+            names = [wheels[i] for i in order]
+            yield order, f"columns of wheels {list(wheels)} that look like those of wheels {names}"
+
+
+def other_signs(wheels: Sequence[int]) -> Iterator[tuple[Array, list[int]]]:
+    """Every choice of signs (W,) but that of the file, and the wheels that it turns around."""
+    for signs in product((1.0, -1.0), repeat=len(wheels)):
+        turned = [w for w, sign in zip(wheels, signs, strict=True) if sign < 0.0]
+        if turned:
+            yield np.array(signs), turned
 
 
 def of_late_wheels(nothing: Correction) -> Undone:
@@ -130,6 +130,6 @@ def of_counters(
             "thruster-order",
             f"counters of thrusters exchanged, {names}",
             "correct the names of the on_time_… and pulses_… columns",
-            nothing.with_thruster(exchanged(np.eye(len(thrusters)), both)),
+            replace(nothing, thruster=exchanged(np.eye(len(thrusters)), both)),
             ORDER_PRICE * (1 + len(both)),
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 
 MISTAKES: Final = {
     "wheel-order": "wheel columns that belong to other wheels",
@@ -91,13 +91,7 @@ class Policy:
             An unknown mistake.
         """
         for name in accepted:
-            if name not in MISTAKES:
-                raise InputError(
-                    "--accept",
-                    f"one of {', '.join(MISTAKES)}",
-                    repr(name),
-                    nearest(name, list(MISTAKES)),
-                )
+            check_known("--accept", name, MISTAKES)
         return cls(frozenset(accepted), leave_out)
 
 
@@ -126,12 +120,19 @@ class Explanation:
 
 @dataclass
 class Findings:
-    """What was not refused but has to be said, in sentences."""
+    """What a policy did not refuse but has to be said, in sentences."""
 
+    policy: Policy
     sentences: list[str] = field(default_factory=list)
 
     def refuse(
-        self, policy: Policy, mistake: str, error: InputError, others: Sequence[str] = ()
+        self,
+        mistake: str,
+        where: str,
+        expected: str,
+        got: str,
+        fix: str,
+        others: Sequence[str] = (),
     ) -> None:
         """Raise, unless the mistake was accepted: then say so.
 
@@ -140,11 +141,24 @@ class Findings:
         MistakeError
             It was not; ``others`` explain the data as well.
         """
-        if mistake not in policy.accepted:
-            fix = f"{error.fix}; or, if it is none, add --accept {mistake}"
+        if mistake not in self.policy.accepted:
+            fix = f"{fix}; or, if it is none, add --accept {mistake}"
             names = tuple(dict.fromkeys((mistake, *others)))
-            raise MistakeError(error.where, error.expected, error.got, fix, names)
-        self.sentences.append(f"{error.where}: accepted ({mistake}): {error.got}")
+            raise MistakeError(where, expected, got, fix, names)
+        self.sentences.append(f"{where}: accepted ({mistake}): {got}")
+
+    def refuse_best(
+        self, where: str, expected: str, misfit: float, best: Sequence[Explanation]
+    ) -> None:
+        """Refuse with the best explanation; what fits as well is said too."""
+        first, *others = best
+        also = ""
+        if others:
+            named = " or ".join(f"{each.what} ({each.left:.3g})" for each in others)
+            also = f", and as well {named}"
+        got = f"{first.what} (misfit {first.left:.3g} instead of {misfit:.4g}{also})"
+        as_good = [each.mistake for each in others]
+        self.refuse(first.mistake, where, expected, got, first.fix, as_good)
 
 
 def best_explanations(
@@ -165,29 +179,3 @@ def best_explanations(
         return ()
     close = [each for each in ranked if each.score <= ranked[0].score + AS_GOOD]
     return tuple(close[:MOST_NAMED])
-
-
-def refuse_best(
-    where: str,
-    expected: str,
-    misfit: float,
-    best: Sequence[Explanation],
-    policy: Policy,
-    findings: Findings,
-) -> None:
-    """Refuse with the best explanation; what fits as well is said too."""
-    first, *others = best
-    also = ""
-    if others:
-        also = ", and as well " + " or ".join(f"{each.what} ({each.left:.3g})" for each in others)
-    findings.refuse(
-        policy,
-        first.mistake,
-        InputError(
-            where,
-            expected,
-            f"{first.what} (misfit {first.left:.3g} instead of {misfit:.4g}{also})",
-            first.fix,
-        ),
-        [each.mistake for each in others],
-    )

@@ -58,11 +58,8 @@ class Attitudes:
             )
         rough = np.flatnonzero(error > ROUNDING)
         if rough.size:
-            lines = block.lines[rows[rough]]
-            self._mends.add(
-                *("norm", "q1", int(lines[0]), int(lines[-1]), int(lines.size)),
-                f"a quaternion was divided by its norm, off by more than {ROUNDING:g}",
-            )
+            said = f"a quaternion was divided by its norm, off by more than {ROUNDING:g}"
+            self._mends.add("norm", "q1", block.lines[rows[rough]], said)
 
     def _signed(self, block: Block, rows: NDArray[np.int64], quaternions: Array) -> Array:
         time = block.cells[self._time][rows]
@@ -73,11 +70,8 @@ class Attitudes:
         self._last = (float(time[-1]), quaternions[-1].copy())
         flipped = np.flatnonzero(dot < 0.0)
         if flipped.size:
-            lines = block.lines[rows[flipped]]
-            self._mends.add(
-                *("sign_flip", "q1", int(lines[0]), int(lines[-1]), int(lines.size)),
-                "the quaternion changed its sign, which is the same attitude; undone",
-            )
+            said = "the quaternion changed its sign, which is the same attitude; undone"
+            self._mends.add("sign_flip", "q1", block.lines[rows[flipped]], said)
         elif self._sign > 0.0:
             return quaternions
         signs = self._sign * np.cumprod(np.where(dot < 0.0, -1.0, 1.0))

@@ -30,6 +30,14 @@ class Selection:
 EVERYTHING: Final = Selection()
 
 
+def no_numbers(where: str, expected: str, dates: bool, kind: object, fix: str) -> InputError:
+    """The error to raise about a column of another kind than numbers: of dates or text, or not."""
+    got, with_map = "other things", 'map the column with time_system = "iso8601"'
+    if dates:
+        got, fix = "dates or text", with_map
+    return InputError(where, expected, f"{got} ({kind})", fix)
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """Some rows of a file: ``cells`` (columns, n), NaN where empty, and where each row stands.
@@ -60,6 +68,17 @@ class Block:
         value = self.cells[column, row]
         shown = "an empty cell" if np.isnan(value) else f"{value:.10g}"
         return InputError(self.where(row, column), expected, got or shown, fix)
+
+    def check(self, wrong: NDArray[np.bool_], column: int, expected: str, fix: str) -> None:
+        """Refuse a column's cell of the first row that is ``wrong``, if one is."""
+        rows = np.flatnonzero(wrong)
+        if rows.size:
+            raise self.refuse(int(rows[0]), column, expected, fix)
+
+    def check_finite(self, fix: str) -> None:
+        """Refuse infinite cells."""
+        for column, row in np.argwhere(np.isinf(self.cells)).tolist():
+            raise self.refuse(row, column, "a finite number", fix)
 
     def without(self, drop: NDArray[np.bool_]) -> Block:
         """The same without some rows."""

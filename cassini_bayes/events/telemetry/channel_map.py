@@ -27,6 +27,7 @@ from cassini_bayes.events.telemetry.clocks import (
     reader_of_dates,
 )
 from cassini_bayes.events.telemetry.columns import TIME, suggestion
+from cassini_bayes.events.telemetry.table import ForeignTable
 from cassini_bayes.events.telemetry.units import factor_to
 from cassini_bayes.files.checks import in_utc
 from cassini_bayes.files.toml_file import toml_bytes, toml_of
@@ -140,9 +141,7 @@ def _checked(table: Mapping[str, Any], where: str, digest: str) -> ChannelMap:
 
 def columns_of(
     channel_map: ChannelMap,
-    header_place: str,
-    header: Sequence[str],
-    refused: Mapping[str, str],
+    file: ForeignTable,
     own: Mapping[str, Sequence[str]],
     every: Mapping[str, Sequence[str]],
     epoch: datetime,
@@ -151,10 +150,8 @@ def columns_of(
 
     Parameters
     ----------
-    header_place, header
-        The file for messages, and the names of its columns.
-    refused
-        Columns that hold no numbers, and why.
+    file
+        The file's columns.
     own, every
         Our columns by channel: those of the event, and those of the whole spacecraft, each of which
         may be mapped by its own name.
@@ -171,18 +168,14 @@ def columns_of(
         where = f"{channel_map.where}: channels.{key}"
         channel, names = _named(key, own, every, where)
         _check_keys(channel, key, table, where)
-        sources = _sources(table, names, header, refused, header_place, where)
+        sources = _sources(table, names, file, where)
         for name, source in zip(_turned(names, table), sources, strict=True):
             taken = next((column for column in result if column.name == name), None)
             if taken is not None:
-                raise InputError(
-                    where,
-                    f"{name} from one column",
-                    f"another one, {header[taken.place]!r}, before it",
-                    "drop one of the two",
-                )
-            result.append(_column(name, header.index(source), channel, table, epoch, where))
-    _check_others(channel_map, header_place, header, {column.place for column in result}, refused)
+                got = f"another one, {file.header[taken.place]!r}, before it"
+                raise InputError(where, f"{name} from one column", got, "drop one of the two")
+            result.append(_column(name, file.header.index(source), channel, table, epoch, where))
+    _check_others(channel_map, file, {column.place for column in result})
     return tuple(result)
 
 
@@ -207,18 +200,14 @@ def _named(
 def _check_keys(channel: str, key: str, table: ChannelTable, where: str) -> None:
     """Refuse keys that say nothing of this channel."""
     dates = table.time_system == "iso8601"
-    whole = key == "attitude"
+    elapsed = channel == "time" and table.time_system in (None, "elapsed")
+    whole, of_whole = key == "attitude", "of the whole channel, [channels.attitude]"
     rules = (
-        ("order", table.order, whole, "of the whole channel, [channels.attitude]"),
-        ("direction", table.direction, whole, "of the whole channel, [channels.attitude]"),
+        ("order", table.order, whole, of_whole),
+        ("direction", table.direction, whole, of_whole),
         ("kind", table.kind, channel in COUNTERS, f"of {', '.join(COUNTERS)}"),
         ("time_system", table.time_system, channel == "time", "of the time"),
-        (
-            "epoch",
-            table.epoch,
-            channel == "time" and table.time_system in (None, "elapsed"),
-            "of a time that has elapsed since then",
-        ),
+        ("epoch", table.epoch, elapsed, "of a time that has elapsed since then"),
         ("negate", table.negate or None, channel not in ("time", *GROWING), "of what has a sign"),
         ("unit", table.unit, not dates and table.time_system not in DAYS, "of no date or day"),
         ("scale", table.scale, not dates, "of numbers"),
@@ -232,18 +221,13 @@ def _check_keys(channel: str, key: str, table: ChannelTable, where: str) -> None
 
 
 def _sources(
-    table: ChannelTable,
-    names: Sequence[str],
-    header: Sequence[str],
-    refused: Mapping[str, str],
-    header_place: str,
-    where: str,
+    table: ChannelTable, names: Sequence[str], file: ForeignTable, where: str
 ) -> tuple[str, ...]:
     """The file's columns that a table names, one for each of ours."""
     given = names if table.source is None else table.source
     listed = (given,) if isinstance(given, str) else tuple(given)
     parts = tuple(f"{listed[0]}[{i}]" for i in range(1, len(names) + 1)) if listed else ()
-    if len(listed) == 1 < len(names) and set(parts) <= set(header):
+    if len(listed) == 1 < len(names) and set(parts) <= set(file.header):
         listed = parts  # the columns of a matrix
     if len(listed) != len(names):
         raise InputError(
@@ -253,94 +237,69 @@ def _sources(
             "list one column for each, in this order",
         )
     for source in listed:
-        if source in refused:
-            raise InputError(
-                f"{where}.source", "a column of numbers", f"{source!r}: {refused[source]}",
-                "name another column, or store it as numbers",
-            )  # fmt: skip
-        if header.count(source) != 1:
-            raise InputError(
-                f"{where}.source",
-                f"a column of {header_place}",
-                f"{source!r}, which is there {'twice' if source in header else 'nowhere'}",
-                suggestion(source, header),
-            )
+        if source in file.refused:
+            got = f"{source!r}: {file.refused[source]}"
+            fix = "name another column, or store it as numbers"
+            raise InputError(f"{where}.source", "a column of numbers", got, fix)
+        if file.header.count(source) != 1:
+            expected = f"a column of {file.header_place}"
+            got = f"{source!r}, which is there {'twice' if source in file.header else 'nowhere'}"
+            raise InputError(f"{where}.source", expected, got, suggestion(source, file.header))
     return listed
 
 
 def _turned(names: Sequence[str], table: ChannelTable) -> Iterator[str]:
     """Our names in the order in which the sources are listed."""
-    if table.order is None:
-        yield from names
-        return
-    places = _ORDERS[table.order]
+    places = _ORDERS[table.order] if table.order else range(len(names))
     yield from (names[places.index(i)] for i in range(len(names)))
 
 
 def _column(
     name: str, place: int, channel: str, table: ChannelTable, epoch: datetime, where: str
 ) -> Column:
-    scale = 1.0 if table.scale is None else table.scale
-    offset = 0.0 if table.offset is None else table.offset
     if channel == "time":
-        return _clock(name, place, table, scale, offset, epoch, where)
+        return _clock(name, place, table, epoch, where)
     factor = factor_to(table.unit or UNITS[channel], UNITS[channel], f"{where}.unit")
     back = table.direction == "body_to_inertial" and name != "q4"  # the inverse turn
     sign = -1.0 if back != table.negate else 1.0
+    scale, offset = _scale_and_offset(table)
     line = Line(sign * scale * factor, sign * offset * factor)
     return Column(name, place, line, table.kind == "per_interval", channel in GROWING)
 
 
-def _clock(
-    name: str,
-    place: int,
-    table: ChannelTable,
-    scale: float,
-    offset: float,
-    epoch: datetime,
-    where: str,
-) -> Column:
+def _clock(name: str, place: int, table: ChannelTable, epoch: datetime, where: str) -> Column:
     system = table.time_system or "elapsed"
     if system == "iso8601":
         return Column(name, place, Line(1.0, 0.0), dates=reader_of_dates(epoch))
     unit_s = _SECONDS_PER_DAY
     if system not in DAYS:
         unit_s = factor_to(table.unit or UNITS["time"], UNITS["time"], f"{where}.unit")
-    began = None
-    if table.epoch is not None:
-        began = in_utc(table.epoch) if isinstance(table.epoch, str | datetime) else None
-        if began is None:
-            raise InputError(
-                f"{where}.epoch",
-                "an ISO 8601 time, UTC",
-                repr(table.epoch),
-                "write e.g. 2010-02-13T12:00:00Z",
-            )
-    return Column(name, place, line_of_clock(system, unit_s, scale, offset, began, epoch))
+    began = in_utc(table.epoch) if isinstance(table.epoch, str | datetime) else None
+    if began is None and table.epoch is not None:
+        got, fix = repr(table.epoch), "write e.g. 2010-02-13T12:00:00Z"
+        raise InputError(f"{where}.epoch", "an ISO 8601 time, UTC", got, fix)
+    line = line_of_clock(system, unit_s, *_scale_and_offset(table), began, epoch)
+    return Column(name, place, line)
 
 
-def _check_others(
-    channel_map: ChannelMap,
-    header_place: str,
-    header: Sequence[str],
-    mapped: set[int],
-    refused: Mapping[str, str],
-) -> None:
+def _scale_and_offset(table: ChannelTable) -> tuple[float, float]:
+    return 1.0 if table.scale is None else table.scale, table.offset or 0.0
+
+
+def _check_others(channel_map: ChannelMap, file: ForeignTable, mapped: set[int]) -> None:
     """Refuse columns that are neither mapped nor ignored: nothing is left out in silence."""
     if TIME not in channel_map.channels and "time" not in channel_map.channels:
-        raise InputError(
-            f"{channel_map.where}: channels", "a table [channels.time]", "none",
-            "say which column holds the time",
-        )  # fmt: skip
+        where, fix = f"{channel_map.where}: channels", "say which column holds the time"
+        raise InputError(where, "a table [channels.time]", "none", fix)
     if channel_map.ignore_others:
         return
-    others = [name for i, name in enumerate(header) if i not in mapped]
-    left = [name for name in (*others, *refused) if name not in channel_map.ignore]
+    others = [name for i, name in enumerate(file.header) if i not in mapped]
+    left = [name for name in (*others, *file.refused) if name not in channel_map.ignore]
     if left:
         names = ", ".join(json.dumps(name, ensure_ascii=False) for name in left[:12])
         more = ", …" if len(left) > 12 else ""
         raise InputError(
-            header_place,
+            file.header_place,
             f"columns that {channel_map.where} maps or ignores",
             f"{names}{more} besides",
             f"map them, or add ignore = [{names}{more}] or ignore_others = true there",

@@ -25,24 +25,18 @@ from cassini_bayes.files.checks import in_utc
 TimeSystem = Literal[
     "elapsed", "iso8601", "unix", "julian_date", "modified_julian_date", "matlab_datenum"
 ]
-ZEROS: Final[Mapping[str, datetime]] = MappingProxyType(
+ZEROS: Final[Mapping[str, tuple[datetime, Fraction]]] = MappingProxyType(
     {
-        "unix": datetime(1970, 1, 1, tzinfo=UTC),
-        "modified_julian_date": datetime(1858, 11, 17, tzinfo=UTC),
-        "julian_date": datetime(1858, 11, 17, tzinfo=UTC),
-        "matlab_datenum": datetime(1970, 1, 1, tzinfo=UTC),
+        "unix": (datetime(1970, 1, 1, tzinfo=UTC), Fraction(0)),
+        "modified_julian_date": (datetime(1858, 11, 17, tzinfo=UTC), Fraction(0)),
+        "julian_date": (datetime(1858, 11, 17, tzinfo=UTC), Fraction(4800001, 2)),
+        "matlab_datenum": (datetime(1970, 1, 1, tzinfo=UTC), Fraction(719529)),
     }
 )
-"""A date in every system that counts from a fixed one, beside :data:`READINGS`."""
-READINGS: Final[Mapping[str, Fraction]] = MappingProxyType(
-    {
-        "unix": Fraction(0),
-        "modified_julian_date": Fraction(0),
-        "julian_date": Fraction(4800001, 2),
-        "matlab_datenum": Fraction(719529),
-    }
-)
-"""What the system's count is at that date: 2400000.5 days at the zero of the modified one."""
+"""A date in every system that counts from a fixed one, and what its count is then.
+
+Of Julian dates that is 2400000.5 days at the zero of the modified ones.
+"""
 DAYS: Final = ("julian_date", "modified_julian_date", "matlab_datenum")
 """Systems that count days; the others count seconds unless a unit is given."""
 _MICROSECOND: Final = timedelta(microseconds=1)
@@ -84,7 +78,7 @@ def line_of_clock(
     began
         When the count ``elapsed`` was 0; the event's epoch by default.
     """
-    zero, reading = ZEROS.get(system, began or epoch), READINGS.get(system, Fraction(0))
+    zero, reading = ZEROS.get(system, (began or epoch, Fraction(0)))
     seconds, slope = Fraction(unit_s), Fraction(scale)
     late = Fraction((epoch - zero) // _MICROSECOND, 10**6)  # from the zero to the epoch
     # seconds since the epoch: (slope x + offset − reading) seconds − late

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.cells import check_once
 from cassini_bayes.spacecraft import Spacecraft
 
 Kind = Literal["slew", "bias", "quiescent", "delta_v"]
@@ -71,11 +72,8 @@ def channel_columns(
 
 def all_columns(spacecraft: Spacecraft) -> dict[str, tuple[str, ...]]:
     """Columns of every channel, of all wheels and of the thrusters of all branches."""
-    return channel_columns(
-        spacecraft,
-        [wheel.number for wheel in spacecraft.wheels],
-        list(dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)),
-    )
+    thrusters = dict.fromkeys(thruster.name for thruster in spacecraft.thrusters)
+    return channel_columns(spacecraft, spacecraft.wheel_numbers, tuple(thrusters))
 
 
 def make_layout(
@@ -173,5 +171,4 @@ def _check_names(
                 f"the unknown column {name!r}" if name else f"no name for column {i + 1}",
                 f"{hint}; columns of your own need a channel map (channels.toml)",
             )
-        if name in header[:i]:
-            raise InputError(where, "each column once", f"{name!r} twice", "drop one of the two")
+        check_once(where, header[: i + 1])

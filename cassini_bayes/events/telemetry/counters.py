@@ -57,7 +57,7 @@ class Counter:
         if rows.size == 0:
             return np.ascontiguousarray(raw.T)
         values = raw if rows.size == block.rows else raw[:, rows]
-        self._check_values(block, rows, values)
+        self._check_values(block)
         time = block.cells[self._time][rows]
         start, first = self._last or (float(time[0]), values[:, 0])
         growth = np.diff(values, axis=1, prepend=first[:, None])
@@ -78,20 +78,13 @@ class Counter:
         result[rows] = counts.T
         return result
 
-    def _check_values(self, block: Block, rows: Rows, values: Array) -> None:
-        for column, own in zip(self._columns, values, strict=True):
-            wrong = np.flatnonzero(own < 0.0)
-            if wrong.size:
-                raise block.refuse(
-                    int(rows[wrong[0]]), column, f"0 or more, in {self._unit}", "check the column"
-                )
+    def _check_values(self, block: Block) -> None:
+        fix = "check the columns: on-times are in on_time_…_s"
+        for column in self._columns:
+            own = block.cells[column]
+            block.check(own < 0.0, column, f"0 or more, in {self._unit}", "check the column")
             if self._channel == "pulses":
-                wrong = np.flatnonzero(own != np.floor(own))
-                if wrong.size:
-                    raise block.refuse(
-                        *(int(rows[wrong[0]]), column, "a whole number of pulses"),
-                        "check the columns: on-times are in on_time_…_s",
-                    )
+                block.check(own % 1.0 > 0.0, column, "a whole number of pulses", fix)
 
     def _unwrap(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> Array:
         """What wraps took away at each sample (K, m); ``growth`` is mended in place."""
@@ -115,9 +108,8 @@ class Counter:
             self._size = size
             jumps[k, i] = size
             growth[k, i] += size
-            line = int(block.lines[row])
             self._mends.add(
-                *("counter_wrap", block.header[column], line, line, 1),
+                *("counter_wrap", block.header[column], block.lines[[row]]),
                 f"the counter went from {before:.10g} to {now:.10g}: it wraps at {size:.10g}"
                 f" {self._unit}, which was added",
             )
@@ -152,9 +144,7 @@ class Counter:
                 )
 
     def _check_pace(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> None:
-        wrong = np.argwhere((growth > 1.01 * step_s + SLACK_S).T)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere((growth > 1.01 * step_s + SLACK_S).T).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._columns[k],
@@ -200,9 +190,7 @@ class Agreement:
         marks[0] = np.maximum(marks[0], self._since)
         since = np.maximum.accumulate(marks, axis=0)
         self._since = since[-1].copy()
-        wrong = np.argwhere(counts - since >= FROZEN_PULSES)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere(counts - since >= FROZEN_PULSES).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._on_time_columns[k],
@@ -212,12 +200,7 @@ class Agreement:
             )
 
     def _check_uncounted(
-        self,
-        block: Block,
-        rows: Rows,
-        seconds: Array,
-        longer: Flags,
-        more: Flags,
+        self, block: Block, rows: Rows, seconds: Array, longer: Flags, more: Flags
     ) -> None:
         assert self._last is not None
         idle = ~longer & ~more
@@ -229,9 +212,7 @@ class Agreement:
         growth = np.diff(seconds, axis=0, prepend=self._last[0][None])
         total = self._uncounted + np.cumsum(np.where(odd, growth, 0.0), axis=0)
         self._uncounted = total[-1].copy()
-        wrong = np.argwhere(total > SLACK_S)
-        if wrong.size:
-            i, k = wrong[0].tolist()
+        for i, k in np.argwhere(total > SLACK_S).tolist():
             raise block.refuse(
                 int(rows[i]),
                 self._pulse_columns[k],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
 from cassini_bayes.events.telemetry.digits import (
     BAD_LENGTH,
+    NUMBERS,
     TEXT,
     UNREAD,
     powers_of_ten,
@@ -53,15 +55,14 @@ class CsvTable:
             content = self._stream.readline(LONGEST_LINE)
             line += 1
         if not content:
-            raise InputError(
-                str(self._path), "a header row and rows below it", "an empty file", "fill it in"
-            )
+            expected = "a header row and rows below it"
+            raise InputError(str(self._path), expected, "an empty file", "fill it in")
         return line + 1, header_of(f"{self._path}: line {line}", content, self._delimiter)
 
     def blocks(self, rows: int, mends: Mends, selection: Selection = EVERYTHING) -> Iterator[Block]:
         """Yield the rows in file order, ``rows`` at a time."""
         filling = _Filling(
-            *(self._path, self.header, rows, self._line, mends, selection, self._delimiter)
+            *(str(self._path), self.header, rows, self._line, mends, selection, self._delimiter)
         )
         store = bytearray(BUFFER + LONGEST_LINE + _AHEAD)
         buffer = np.frombuffer(store, dtype=np.uint8)
@@ -81,31 +82,24 @@ class CsvTable:
         yield from filling.rest()
 
 
+@dataclass(eq=False)
 class _Filling:
     """The block that is being filled, and the line that comes next."""
 
-    def __init__(
-        self,
-        path: Path,
-        header: tuple[str, ...],
-        rows: int,
-        line: int,
-        mends: Mends,
-        selection: Selection,
-        delimiter: str,
-    ) -> None:
-        self._file = str(path)
-        self._header = header
-        self._selection = selection
-        self._delimiter = delimiter
-        self._kinds = np.zeros(len(header), dtype=np.int64)
-        self._kinds[list(selection.texts)] = TEXT
-        self._kinds[list(selection.unread)] = UNREAD
-        self._rows = rows
-        self._line = line
-        self._mends = mends
+    _file: str
+    _header: tuple[str, ...]
+    _rows: int
+    _line: int
+    _mends: Mends
+    _selection: Selection
+    _delimiter: str
+
+    def __post_init__(self) -> None:
+        self._kinds = np.full(len(self._header), NUMBERS, dtype=np.int64)
+        self._kinds[list(self._selection.texts)] = TEXT
+        self._kinds[list(self._selection.unread)] = UNREAD
         self._powers = powers_of_ten()
-        self._odd = np.zeros((_ODD + 2 * len(header), 5), dtype=np.int64)
+        self._odd = np.zeros((_ODD + 2 * len(self._header), 5), dtype=np.int64)
         self._new()
 
     def _new(self) -> None:
@@ -153,10 +147,9 @@ class _Filling:
 
     def _note_nans(self, nans: NDArray[np.int64]) -> None:
         for column in np.flatnonzero(nans[:, 0]).tolist():
-            count, first, final = nans[column].tolist()
-            self._mends.add(
-                "nan", self._header[column], first, final, count, "NaN was taken as not sampled"
-            )
+            count, *lines = nans[column].tolist()
+            name = self._header[column]
+            self._mends.add("nan", name, lines, "NaN was taken as not sampled", count)
 
     def _settle(self, text: NDArray[np.uint8], entry: list[int], last: bool) -> None:
         """Read a cell that is no plain number, or say what is wrong with it."""
@@ -205,12 +198,9 @@ def header_of(where: str, content: bytes, delimiter: str = COMMA) -> tuple[str, 
     InputError
         Not text, another delimiter, or numbers instead of names.
     """
-    refusal = InputError(
-        where,
-        "a header row of column names",
-        "bytes that are no text",
-        "save the telemetry as CSV UTF-8 (unpacked), or name a Parquet file telemetry.parquet",
-    )
+    expected = "a header row of column names"
+    fix = "save the telemetry as CSV UTF-8 (unpacked), or name a Parquet file telemetry.parquet"
+    refusal = InputError(where, expected, "bytes that are no text", fix)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -232,10 +222,6 @@ def header_of(where: str, content: bytes, delimiter: str = COMMA) -> tuple[str, 
         raise InputError(where, "names of columns", str(error), "mend the line") from None
     names = [name.strip() for name in names]
     if parse_number(names[0]) is not None:
-        raise InputError(
-            where,
-            "a header row of column names",
-            f"the number {names[0]}",
-            "add a first line time_s,q1,… that names the columns",
-        )
+        fix = "add a first line time_s,q1,… that names the columns"
+        raise InputError(where, expected, f"the number {names[0]}", fix)
     return tuple(names)

@@ -70,32 +70,33 @@ def _is_digit(byte: np.uint8) -> bool:
 
 
 @compiled
+def _digits(
+    text: NDArray[np.uint8], place: int, digits: np.int64, used: int
+) -> tuple[int, np.int64, int]:
+    """Take up the digits from a place on: where they end, their number, how many count in it."""
+    while _is_digit(text[place]) and used <= MOST_DIGITS:
+        digits = digits * 10 + (np.int64(text[place]) - 48)
+        used += digits != 0
+        place += 1
+    return place, digits, used
+
+
+@compiled
 def _number(text: NDArray[np.uint8], start: int, powers: Array) -> tuple[int, float]:
     """Read ``[+-]digits[.digits][e[+-]digits]``: the place behind it, or -1 if it is no such."""
     place = start
     negative = text[place] == 45
     if negative or text[place] == 43:
         place += 1
-    digits: Any = np.int64(0)
-    count, used, exponent = 0, 0, 0
-    while _is_digit(text[place]):
-        digits = digits * 10 + (np.int64(text[place]) - 48)
-        used += digits != 0
-        count += 1
-        place += 1
-        if used > MOST_DIGITS:
-            return -1, 0.0
+    exponent, first = 0, place
+    place, digits, used = _digits(text, place, np.int64(0), 0)
+    count = place - first
     if text[place] == 46:
-        place += 1
-        while _is_digit(text[place]):
-            digits = digits * 10 + (np.int64(text[place]) - 48)
-            used += digits != 0
-            count += 1
-            exponent -= 1
-            place += 1
-            if used > MOST_DIGITS:
-                return -1, 0.0
-    if count == 0:
+        first = place + 1
+        place, digits, used = _digits(text, first, digits, used)
+        exponent = first - place
+        count -= exponent
+    if count == 0 or used > MOST_DIGITS:
         return -1, 0.0
     if text[place] == 101 or text[place] == 69:
         place += 1

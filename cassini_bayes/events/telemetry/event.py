@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from cassini_bayes.events.telemetry.channel_map import (
 from cassini_bayes.events.telemetry.columns import KINDS, Kind, make_layout
 from cassini_bayes.events.telemetry.files import open_table
 from cassini_bayes.events.telemetry.memory import MemoryTable
-from cassini_bayes.files.checks import in_utc, nearest
+from cassini_bayes.events.totals import DELTA_V_SOURCES, DeltaVSource
+from cassini_bayes.files.cells import check_once
+from cassini_bayes.files.checks import check_known, in_utc
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import digest
 from cassini_bayes.files.toml_file import read_toml
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
 Text = TypeVar("Text", bound=str)
 DESCRIPTION: Final = "event.toml"
 FILES: Final = ("telemetry.csv", "telemetry.parquet")
-SOURCES_OF_DELTA_V: Final[tuple[Literal["measured", "computed"], ...]] = ("measured", "computed")
 _NEEDED: Final = ("id", "kind", "epoch", "branch", "wheels", "source")
 _KEYS: Final = (*_NEEDED, "delta_v_source", "channels", "telemetry")
 CHANNELS: Final = "channels.toml"
@@ -56,7 +57,7 @@ class TelemetryEvent:
     branch: str
     wheels: tuple[int, ...]
     thrusters: tuple[str, ...]
-    delta_v_source: Literal["measured", "computed"] | None
+    delta_v_source: DeltaVSource | None
     source: str
     folder: Path
     telemetry: Path | MemoryTable
@@ -99,7 +100,7 @@ def read_event(folder: str | Path, spacecraft: Spacecraft | str | Path) -> Telem
     keys = _Keys(str(path), _parse(path))
     telemetry = _telemetry_of(path.parent, keys)
     channels = _channels_of(path.parent, keys)
-    digests = [digest(path), digest(telemetry), *([channels.digest] if channels else [])]
+    digests = (digest(path), digest(telemetry))
     return _described(keys, spacecraft, path.parent, telemetry, channels, digests)
 
 
@@ -143,15 +144,12 @@ def event_from_frame(
         channel_map = read_channel_map(Path(channels))
     table = _table_of(frame, f"data frame of event {keys.text('id')}")
     said = json.dumps(keys.table, sort_keys=True, default=str)
-    digests = [said, table.digest, *([channel_map.digest] if channel_map else [])]
-    return _described(keys, spacecraft, folder, table, channel_map, digests)
+    return _described(keys, spacecraft, folder, table, channel_map, (said, table.digest))
 
 
 def _table_of(frame: pd.DataFrame, name: str) -> MemoryTable:
     header = [str(label) for label in frame.columns]
-    for i, label in enumerate(header):
-        if label in header[:i]:
-            raise InputError(name, "each column once", f"{label!r} twice", "drop one of the two")
+    check_once(name, header)
     columns = {}
     for i, label in enumerate(header):
         series = frame.iloc[:, i]
@@ -173,6 +171,7 @@ def _described(
 ) -> TelemetryEvent:
     """The event of a description, checked against the columns of its telemetry."""
     spacecraft = given if isinstance(given, Spacecraft) else load_spacecraft(given)
+    digests = (*digests, *([channels.digest] if channels else []))
     kind, branch = keys.choice("kind", KINDS), keys.choice("branch", spacecraft.branches)
     wheels, epoch = keys.wheels(spacecraft), keys.epoch()
     with open_table(telemetry, channels, spacecraft, wheels, branch, epoch) as table:
@@ -196,28 +195,17 @@ def _described(
 
 def _parse(path: Path) -> dict[str, Any]:
     folder = path.parent
+    what = "a description of the event"
     if not exists(folder):
         raise InputError(str(folder), "an event folder", "nothing there", "check the path")
     if not folder.is_dir():
-        raise InputError(
-            str(folder), "an event folder", "a file", f"name the folder that holds {DESCRIPTION}"
-        )
+        fix = f"name the folder that holds {DESCRIPTION}"
+        raise InputError(str(folder), "an event folder", "a file", fix)
     if not path.exists():
         names = sorted(entry.name for entry in folder.iterdir())
-        raise InputError(
-            str(path),
-            "a description of the event",
-            "no such file",
-            f"write {DESCRIPTION}; the folder holds {', '.join(names[:5]) or 'nothing'}",
-        )
-    return read_toml(path, "a description of the event")
-
-
-def _telemetry_of(folder: Path, keys: _Keys) -> Path:
-    """The file of rows: the one that the description names, or the one beside it."""
-    if "telemetry" not in keys.table:
-        return _find_telemetry(folder)
-    return folder / keys.text("telemetry")
+        fix = f"write {DESCRIPTION}; the folder holds {', '.join(names[:5]) or 'nothing'}"
+        raise InputError(str(path), what, "no such file", fix)
+    return read_toml(path, what)
 
 
 def _channels_of(folder: Path, keys: _Keys) -> ChannelMap | None:
@@ -228,7 +216,10 @@ def _channels_of(folder: Path, keys: _Keys) -> ChannelMap | None:
     return read_channel_map(beside) if exists(beside) else None
 
 
-def _find_telemetry(folder: Path) -> Path:
+def _telemetry_of(folder: Path, keys: _Keys) -> Path:
+    """The file of rows: the one that the description names, or the one beside it."""
+    if "telemetry" in keys.table:
+        return folder / keys.text("telemetry")
     there = [folder / name for name in FILES if (folder / name).exists()]
     if not there:
         names = sorted(entry.name for entry in folder.iterdir() if entry.name != DESCRIPTION)
@@ -239,9 +230,8 @@ def _find_telemetry(folder: Path) -> Path:
             f'put the telemetry beside {DESCRIPTION}, or name it there: telemetry = "…"',
         )
     if len(there) > 1:
-        raise InputError(
-            str(folder), f"either {' or '.join(FILES)}", "both", "keep the one that counts"
-        )
+        expected = f"either {' or '.join(FILES)}"
+        raise InputError(str(folder), expected, "both", "keep the one that counts")
     if there[0].is_dir():
         raise InputError(str(there[0]), "a file", "a folder", "put the file in its place")
     return there[0]
@@ -251,14 +241,11 @@ class _Keys:
     """Values of ``event.toml``, checked one by one."""
 
     def __init__(self, file: str, table: Mapping[str, Any]) -> None:
-        self._file = file
-        self.table = table
+        self._file, self.table = file, table
         for key in table:
             if key not in _KEYS:
                 left = [name for name in _KEYS if name not in table] or _KEYS
-                raise InputError(
-                    f"{file}: {key}", "a known key", "an unknown key", nearest(key, left)
-                )
+                check_known(f"{file}: {key}", key, left, "a known key", "an unknown key")
         for key in _NEEDED:
             if key not in table:
                 raise InputError(f"{file}: {key}", "a value", "nothing", f"add {key} = …")
@@ -281,21 +268,18 @@ class _Keys:
     def choice(self, key: str, known: tuple[Text, ...]) -> Text:
         """One of several texts."""
         value = self.table[key]
-        for entry in known:
-            if value == entry:
-                return entry
-        raise self._refuse(key, f"one of {', '.join(known)}", nearest(str(value), known))
+        check_known(f"{self._file}: {key}", value, known)
+        return known[known.index(value)]
 
     def wheels(self, spacecraft: Spacecraft) -> tuple[int, ...]:
         """Different wheels of the spacecraft."""
         value = self.table["wheels"]
-        known = [wheel.number for wheel in spacecraft.wheels]
+        known = spacecraft.wheel_numbers
         expected, fix = f"a list of wheels out of {known}", f"write e.g. wheels = {known[:3]}"
-        if not isinstance(value, list) or not value:
+        if not isinstance(value, list) or not value or not all(type(n) is int for n in value):
             raise self._refuse("wheels", expected, fix)
-        for number in value:
-            if isinstance(number, bool) or not isinstance(number, int) or number not in known:
-                raise self._refuse("wheels", expected, fix)
+        if not set(value) <= set(known):
+            raise self._refuse("wheels", expected, fix)
         if len(set(value)) != len(value):
             raise self._refuse("wheels", "each wheel once", fix)
         return tuple(value)
@@ -311,18 +295,18 @@ class _Keys:
             raise self._refuse("epoch", "an ISO 8601 time, UTC", fix)
         return epoch
 
-    def delta_v_source(self, has_delta_v: bool) -> Literal["measured", "computed"] | None:
+    def delta_v_source(self, has_delta_v: bool) -> DeltaVSource | None:
         """Where ΔV comes from; given if and only if there is one."""
         if "delta_v_source" not in self.table:
             if has_delta_v:
                 raise InputError(
                     f"{self._file}: delta_v_source",
-                    f"{' or '.join(SOURCES_OF_DELTA_V)}, because the telemetry has ΔV columns",
+                    f"{' or '.join(DELTA_V_SOURCES)}, because the telemetry has ΔV columns",
                     "nothing",
                     'add delta_v_source = "…"; only a measured ΔV says something about thrust',
                 )
             return None
-        source = self.choice("delta_v_source", SOURCES_OF_DELTA_V)
+        source = self.choice("delta_v_source", DELTA_V_SOURCES)
         if not has_delta_v:
             raise self._refuse(
                 "delta_v_source",

@@ -46,15 +46,8 @@ def open_table(
         if channels is None:
             yield table
             return
-        columns = columns_of(
-            channels,
-            table.header_place,
-            table.header,
-            table.refused,
-            channel_columns(spacecraft, wheels, spacecraft.thruster_names(branch)),
-            all_columns(spacecraft),
-            epoch,
-        )
+        own = channel_columns(spacecraft, wheels, spacecraft.thruster_names(branch))
+        columns = columns_of(channels, table, own, all_columns(spacecraft), epoch)
         yield MappedTable(table, columns)
 
 

@@ -48,19 +48,14 @@ class MappedTable:
                     values = self._counted(block, column, values, counts, i)
                 cells[i] = column.line.of(values)
             made = Block(block.file, names, block.unit, block.lines, cells)
-            wrong = np.argwhere(np.isinf(cells))
-            if wrong.size:
-                i, row = wrong[0].tolist()
-                raise made.refuse(row, i, "a finite number", "check scale, offset and unit")
+            made.check_finite("check scale, offset and unit")
             yield made
 
     def _counted(self, block: Block, column: Column, values: Array, counts: Array, i: int) -> Array:
         """What had been counted up to each row, in the file's unit; kept for the next block."""
-        wrong = np.flatnonzero(values < 0.0) if column.grows else np.zeros(0, dtype=np.int64)
-        if wrong.size:
-            raise block.refuse(
-                int(wrong[0]), column.place, "0 or more in each interval", "check kind and column"
-            )
+        if column.grows:
+            expected, fix = "0 or more in each interval", "check kind and column"
+            block.check(values < 0.0, column.place, expected, fix)
         sampled = ~np.isnan(values)
         summed = counts[i] + np.cumsum(np.where(sampled, values, 0.0))
         counts[i] = summed[-1] if summed.size else counts[i]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection, no_numbers
 from cassini_bayes.events.telemetry.clocks import seconds_of
 from cassini_bayes.events.telemetry.mends import Mends
 
@@ -71,8 +71,7 @@ class MemoryTable:
                 cells[i] = values[first : first + count]
             lines = np.arange(first + 1, first + count + 1, dtype=np.int64)
             block = Block(self.name, self.header, "row", lines, cells)
-            for column, row in np.argwhere(np.isinf(cells)).tolist():
-                raise block.refuse(row, column, "a finite number", "NaN means not sampled")
+            block.check_finite("NaN means not sampled")
             yield block
 
     def _numbers(self, place: int, selection: Selection) -> Array:
@@ -82,12 +81,7 @@ class MemoryTable:
             return seconds_of(values, selection.texts[place], where)
         if values.dtype.kind not in "fiub":
             dates = values.dtype.kind in "MU"
-            raise InputError(
-                where,
-                "numbers",
-                f"{'dates or text' if dates else 'other things'} ({values.dtype})",
-                'map the column with time_system = "iso8601"' if dates else "store it as numbers",
-            )
+            raise no_numbers(where, "numbers", dates, values.dtype, "store it as numbers")
         return np.asarray(values, dtype=np.float64)
 
     def _check_lengths(self, read: list[int]) -> None:

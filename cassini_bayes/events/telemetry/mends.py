@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+from cassini_bayes.computing.arrays import Places
 
 MendKind = Literal[
     "nan", "duplicate_row", "sign_flip", "norm", "counter_wrap", "foreign_zero", "late_start"
@@ -29,14 +32,22 @@ class Mends:
         self._found: dict[tuple[MendKind, str], Mend] = {}
 
     def add(
-        self, kind: MendKind, column: str, first_row: int, last_row: int, count: int, sentence: str
+        self,
+        kind: MendKind,
+        column: str,
+        rows: Sequence[int] | Places,
+        sentence: str,
+        count: int | None = None,
     ) -> None:
-        """Count repairs of one kind in one column, on top of earlier ones."""
+        """Count repairs of one kind in one column, on top of earlier ones.
+
+        ``rows`` are those that needed it, first to last; ``count`` says of how many only these are.
+        """
+        first, count = int(rows[0]), len(rows) if count is None else count
         earlier = self._found.get((kind, column))
         if earlier is not None:
-            first_row, count = earlier.first_row, earlier.count + count
-            sentence = earlier.sentence
-        self._found[kind, column] = Mend(kind, column, first_row, last_row, count, sentence)
+            first, count, sentence = earlier.first_row, earlier.count + count, earlier.sentence
+        self._found[kind, column] = Mend(kind, column, first, int(rows[-1]), count, sentence)
 
     @property
     def found(self) -> tuple[Mend, ...]:

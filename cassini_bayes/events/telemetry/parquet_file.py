@@ -10,13 +10,15 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection
+from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection, no_numbers
 from cassini_bayes.events.telemetry.clocks import seconds_of
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.files.reading import open_file
 
 # what pyarrow raises about bytes that are no Parquet: its own errors derive from these
 _DAMAGE: Final = (OSError, ValueError, NotImplementedError, TypeError, KeyError, MemoryError)
+_NUMBERS: Final = ("double", "float", "halffloat", "int", "uint", "null")
+_DATES: Final = ("timestamp", "date", "string", "large_string")
 
 
 class ParquetTable:
@@ -57,7 +59,7 @@ class ParquetTable:
                 self._note_nans(i, cells[i], column.null_count, first, mends)
             lines = np.arange(first, first + batch.num_rows, dtype=np.int64)
             block = Block(str(self._path), self.header, "row", lines, cells)
-            _refuse_infinite(block)
+            block.check_finite("leave it null where not sampled")
             first += batch.num_rows
             if batch.num_rows:
                 yield block
@@ -70,35 +72,21 @@ class ParquetTable:
             raise _refusal(self._path, error) from None
 
     def _check_types(self, selection: Selection) -> None:
-        for i, (name, kind) in enumerate(
-            zip(self.header, self._file.schema_arrow.types, strict=True)
-        ):
-            if i in selection.unread or i in selection.texts:
+        for i, kind in enumerate(map(str, self._file.schema_arrow.types)):
+            if i in selection.unread or i in selection.texts or kind.startswith(_NUMBERS):
                 continue
-            if not str(kind).startswith(("double", "float", "halffloat", "int", "uint", "null")):
-                dates = str(kind).startswith(("timestamp", "date", "string", "large_string"))
-                raise InputError(
-                    f"{self._path}: column {name}",
-                    "numbers (double, float or int)",
-                    f"{'dates or text' if dates else 'other things'} ({kind})",
-                    'map the column with time_system = "iso8601"'
-                    if dates
-                    else "store the column as double, null where it was not sampled",
-                )
+            where = f"{self._path}: column {self.header[i]}"
+            expected = "numbers (double, float or int)"
+            fix = "store the column as double, null where it was not sampled"
+            raise no_numbers(where, expected, kind.startswith(_DATES), kind, fix)
 
     def _note_nans(
         self, column: int, values: np.ndarray[Any, Any], nulls: int, first: int, mends: Mends
     ) -> None:
         empty = np.flatnonzero(np.isnan(values))
         if empty.size > nulls:
-            mends.add(
-                "nan",
-                self.header[column],
-                first + int(empty[0]),
-                first + int(empty[-1]),
-                int(empty.size) - nulls,
-                "NaN was taken as not sampled",
-            )
+            lines, count = first + empty, int(empty.size) - nulls
+            mends.add("nan", self.header[column], lines, "NaN was taken as not sampled", count)
 
 
 def open_parquet(path: Path) -> ParquetTable:
@@ -132,10 +120,3 @@ def _refusal(path: Path, error: Exception) -> InputError:
     return InputError(
         str(path), "a Parquet file", reason, "write the file again, or use telemetry.csv"
     )
-
-
-def _refuse_infinite(block: Block) -> None:
-    wrong = np.argwhere(np.isinf(block.cells))
-    if wrong.size:
-        column, row = wrong[0].tolist()
-        raise block.refuse(row, column, "a finite number", "leave it null where not sampled")

@@ -18,6 +18,24 @@ HIGHEST_RPM: Final = 4000.0
 """Twice what Cassini's wheels are kept below."""
 HIGHEST_DELTA_V_M_S: Final = 2000.0
 MOST_COUNTS: Final = 1_000_000
+_RANGES: Final = {
+    "rate": (
+        HIGHEST_RATE_RAD_S,
+        f"a body rate within ±{HIGHEST_RATE_RAD_S:g} rad/s",
+        "check the unit (rad/s, not deg/s or mrad/s) and the decimal point",
+    ),
+    "wheel": (
+        HIGHEST_RPM,
+        f"a wheel rate within ±{HIGHEST_RPM:g} rev/min",
+        "check the unit (rev/min, not deg/s) and the decimal point",
+    ),
+    "delta_v": (
+        HIGHEST_DELTA_V_M_S,
+        f"a velocity change within ±{HIGHEST_DELTA_V_M_S:g} m/s",
+        "check the unit (m/s, not mm/s)",
+    ),
+}
+"""What only another unit explains: sizes beyond a channel's limit."""
 
 
 class Times:
@@ -31,21 +49,13 @@ class Times:
     def checked(self, block: Block) -> Block:
         """The block without repeated rows."""
         time = block.cells[self._column]
-        unknown = np.flatnonzero(np.isnan(time))
-        if unknown.size:
-            raise block.refuse(
-                int(unknown[0]), self._column, "a time in s", "give every row its time, or drop it"
-            )
-        if self._last is None:
-            if time[0] != 0.0:
-                self._mends.add(
-                    *("late_start", "time_s", int(block.lines[0]), int(block.lines[0]), 1),
-                    f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?",
-                )
-            before = np.concatenate([[-np.inf], time[:-1]])
-        else:
-            before = np.concatenate([self._last[self._column : self._column + 1], time[:-1]])
-        late = time <= before
+        fix = "give every row its time, or drop it"
+        block.check(np.isnan(time), self._column, "a time in s", fix)
+        if self._last is None and time[0] != 0.0:
+            said = f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?"
+            self._mends.add("late_start", "time_s", block.lines[:1], said)
+        first = -np.inf if self._last is None else self._last[self._column]
+        late = time <= np.concatenate([[first], time[:-1]])
         repeated = self._repeated(block, late) if late.any() else late
         self._last = block.cells[:, -1].copy()
         return block.without(repeated) if repeated.any() else block
@@ -56,31 +66,20 @@ class Times:
             assert before is not None
             if not np.array_equal(block.cells[:, row], before, equal_nan=True):
                 raise self._refusal(block, row, before)
-        lines = block.lines[late]
-        self._mends.add(
-            *("duplicate_row", "time_s", int(lines[0]), int(lines[-1]), int(lines.size)),
-            "a row that repeats the one before it was dropped",
-        )
+        said = "a row that repeats the one before it was dropped"
+        self._mends.add("duplicate_row", "time_s", block.lines[late], said)
         return late
 
     def _refusal(self, block: Block, row: int, before: Array) -> InputError:
         last = float(before[self._column])
         time = float(block.cells[self._column, row])
+        expected = f"a time after {last:.10g} s, that of the row before"
+        got = f"{time:.10g} s, going back"
+        fix = "sort the rows by time; split the event where its clock was set back"
         if time == last:
-            return block.refuse(
-                row,
-                self._column,
-                f"a time after {last:.10g} s, that of the row before",
-                "merge the two rows if they hold different channels; drop one if they disagree",
-                f"the same time again, {time:.10g} s, with other values",
-            )
-        return block.refuse(
-            row,
-            self._column,
-            f"a time after {last:.10g} s, that of the row before",
-            "sort the rows by time; split the event where its clock was set back",
-            f"{time:.10g} s, going back",
-        )
+            got = f"the same time again, {time:.10g} s, with other values"
+            fix = "merge the two rows if they hold different channels; drop one if they disagree"
+        return block.refuse(row, self._column, expected, fix, got)
 
 
 def check_whole(block: Block, layout: Layout) -> None:
@@ -104,62 +103,22 @@ def check_whole(block: Block, layout: Layout) -> None:
 
 def check_foreign(block: Block, layout: Layout) -> None:
     """Refuse values of idle wheels and of the other branch's thrusters; empty and 0 may stand."""
+    expected = "an empty cell: it belongs to no prime wheel and to no thruster of the branch"
+    fix = "correct wheels and branch in event.toml, or drop the column"
     for column in layout.foreign:
         values = block.cells[column]
-        given = np.flatnonzero(~np.isnan(values) & (values != 0.0))
-        if given.size:
-            raise block.refuse(
-                int(given[0]),
-                column,
-                "an empty cell: it belongs to no prime wheel and to no thruster of the branch",
-                "correct wheels and branch in event.toml, or drop the column",
-            )
+        block.check(~np.isnan(values) & (values != 0.0), column, expected, fix)
 
 
 def check_ranges(block: Block, layout: Layout) -> None:
     """Refuse rates, wheel rates, velocities and pressures that only another unit explains."""
-    _check_range(
-        block,
-        layout.channels["rate"],
-        HIGHEST_RATE_RAD_S,
-        f"a body rate within ±{HIGHEST_RATE_RAD_S:g} rad/s",
-        "check the unit (rad/s, not deg/s or mrad/s) and the decimal point",
-    )
-    _check_range(
-        block,
-        layout.channels["wheel"],
-        HIGHEST_RPM,
-        f"a wheel rate within ±{HIGHEST_RPM:g} rev/min",
-        "check the unit (rev/min, not deg/s) and the decimal point",
-    )
-    _check_range(
-        block,
-        layout.channels["delta_v"],
-        HIGHEST_DELTA_V_M_S,
-        f"a velocity change within ±{HIGHEST_DELTA_V_M_S:g} m/s",
-        "check the unit (m/s, not mm/s)",
-    )
+    for channel, (limit, expected, fix) in _RANGES.items():
+        for column in layout.channels[channel]:
+            block.check(np.abs(block.cells[column]) > limit, column, expected, fix)
+    expected = f"a whole number of counts within ±{MOST_COUNTS:,}"
+    fix = "give the counts as telemetry has them, not a velocity"
     for column in layout.channels["accelerometer"]:
         values = block.cells[column]
-        given = ~np.isnan(values)
-        wrong = np.flatnonzero(given & ((np.abs(values) > MOST_COUNTS) | (values % 1.0 != 0.0)))
-        if wrong.size:
-            raise block.refuse(
-                int(wrong[0]),
-                column,
-                f"a whole number of counts within ±{MOST_COUNTS:,}",
-                "give the counts as telemetry has them, not a velocity",
-            )
+        block.check((np.abs(values) > MOST_COUNTS) | (values % 1.0 > 0.0), column, expected, fix)
     for column in layout.channels["pressure"]:
-        wrong = np.flatnonzero(block.cells[column] <= 0.0)
-        if wrong.size:
-            raise block.refuse(int(wrong[0]), column, "a pressure above 0 kPa", "check the value")
-
-
-def _check_range(
-    block: Block, columns: tuple[int, ...], limit: float, expected: str, fix: str
-) -> None:
-    for column in columns:
-        wrong = np.flatnonzero(np.abs(block.cells[column]) > limit)
-        if wrong.size:
-            raise block.refuse(int(wrong[0]), column, expected, fix)
+        block.check(block.cells[column] <= 0.0, column, "a pressure above 0 kPa", "check the value")

@@ -25,10 +25,11 @@ def last_time(event: TelemetryEvent) -> float:
     telemetry = event.telemetry
     if event.channels is not None or not isinstance(telemetry, Path):
         return 1.0
-    if telemetry.suffix.lower() in SUFFIXES:
+    suffix = telemetry.suffix.lower()
+    if suffix in SUFFIXES:
         return 1.0
     try:
-        if telemetry.suffix.lower() in PARQUET:
+        if suffix in PARQUET:
             return _last_time_of_parquet(telemetry)
         with telemetry.open("rb") as stream:
             header = stream.readline().decode("utf-8-sig")

@@ -33,7 +33,8 @@ from cassini_bayes.model.thrusts import (
     thrust_prior_of,
 )
 from cassini_bayes.priors.distributions import Distribution
-from cassini_bayes.priors.reader import ParameterPrior, ParameterSpace, Priors, known_parameters
+from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.priors.reader import ParameterPrior, Priors, known_parameters
 
 INTERCEPT: Final = "thrust_intercept_share"
 AGEING: Final = ("thrust_drift_n_per_year", "thrust_ageing_n_per_year")
