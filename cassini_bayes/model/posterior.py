@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.effects.effect import Effect, columns_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
@@ -26,7 +26,6 @@ from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, telemetry
 from cassini_bayes.model.terms import Points, Shared, Term, TermAt, TermEvent
 from cassini_bayes.model.thrusts import (
     CollapsedThrusts,
-    ThrustInformation,
     ThrustPrior,
     collapse_thrusts,
     level_factor,
@@ -383,7 +382,7 @@ def _collapse_at(model: Model, points: Points) -> Collapsed:
     factor = thrust_factor(model, points)
     thrusts = collapse_thrusts(
         prior,
-        ThrustInformation.joined([term.information for term in terms]),
+        joined([term.information for term in terms], axis=1),
         common,
         prior.offset_at(points.parameters, common),
         factor,

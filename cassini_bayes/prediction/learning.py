@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
@@ -122,7 +122,7 @@ def learn(
     features = training_features(model, events, physics, manager, rate)
     seen = [observe(event.on_time_s, layout) for event in events]
     firing, index, effective = joint_draws(features, seen, beliefs, rng, physics.size, size)
-    chosen = physics.at(index)
+    chosen = picked(physics, index)
     pulses = pulse_regression(events, layout, beliefs, rng, size)
     hydrazine = hydrazine_regression(model, events, chosen, layout, beliefs, rng)
     thrust_trend, acceleration, mass = _trends(events, rng, size)

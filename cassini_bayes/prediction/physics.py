@@ -14,12 +14,11 @@ from typing import Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import Modifier
 from cassini_bayes.balance.physics import Physics as BalancePhysics
 from cassini_bayes.balance.totals_system import NOISE, effective_on_times, steady_impulse
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, mapped
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
@@ -72,29 +71,10 @@ class Physics:
         """Thrust (n, K) that thrusters deliver on average: level times factor of effects."""
         return np.asarray(self.level_n * self.balance(model).thrust_factor)
 
-    def at(self, index: NDArray[np.int64]) -> Physics:
-        """The draws of the given indices."""
-        return Physics(
-            {
-                name: value[index] if np.ndim(value) else value
-                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
-            },
-            self.thrust_n[index],
-            self.level_n[index],
-            self.software[index],
-        )
-
     def at_mean(self) -> Physics:
         """Every draw replaced by the mean of all: the physics as if it were known."""
-        return Physics(
-            {
-                name: np.full_like(value, np.mean(value)) if np.ndim(value) else value
-                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
-            },
-            np.broadcast_to(self.thrust_n.mean(0), self.thrust_n.shape),
-            np.broadcast_to(self.level_n.mean(0), self.level_n.shape),
-            np.broadcast_to(self.software.mean(0), self.software.shape),
-        )
+        result: Physics = mapped(lambda draws: np.broadcast_to(draws.mean(0), draws.shape), self)
+        return result
 
 
 def importance_physics(

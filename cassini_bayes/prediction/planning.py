@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.files.tables import rows_csv
@@ -194,7 +194,7 @@ def plan(
 def typical(learned: Learned) -> Learned:
     """The same knowledge as a single draw at its mean: for expected on-times."""
     one = np.zeros(1, dtype=np.int64)
-    physics = learned.physics.at_mean().at(one)
+    physics = picked(learned.physics.at_mean(), one)
     firing = {name: np.full(1, np.mean(value)) for name, value in learned.firing.items()}
     pulses = replace(
         learned.pulses,

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.record import Coordinates, labelled
@@ -94,7 +94,7 @@ def channel_replicates(
     Additions to the groups ``posterior_predictive`` and ``observed_data``; none without telemetry.
     """
     shown = thinned_draws(len(z))
-    rows = balances(model, z[shown], draws.at(shown), REPLICATED_ROWS)
+    rows = balances(model, z[shown], picked(draws, shown), REPLICATED_ROWS)
     events = [replicated(row, rng) for row in rows]
     if not events:
         return {}

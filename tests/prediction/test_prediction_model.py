@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.optimize import linprog
 from spacecraft_cases import TWELVE
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.demand import pair_layout, pair_solver
 from cassini_bayes.prediction.firing import (
@@ -199,7 +199,7 @@ def test_the_posterior_of_the_firing_logic_is_that_of_a_brute_force_chain() -> N
 
     manager = Manager(dict(MANAGER.ramp_s_per_rpm), MANAGER.loop_s)
     layout = pair_layout(model().spacecraft, "B")
-    mean = physics().at_mean().at(np.zeros(1, dtype=np.int64))
+    mean = picked(physics().at_mean(), np.zeros(1, dtype=np.int64))
     features = training_features(model(), events, mean, manager, 7.66)
     seen = [observe(event.on_time_s, layout) for event in events]
     space = firing_space(beliefs())

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places, joined, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.mission.circumstances import Circumstances
@@ -165,12 +165,8 @@ class BranchAt:
     @classmethod
     def joined(cls, lots: Sequence[BranchAt]) -> BranchAt:
         """The same at the points of several lots, in their order."""
-        return cls(
-            lots[0].thrusts,
-            np.concatenate([lot.scale for lot in lots]),
-            ThrustInformation.of_points([lot.information for lot in lots]),
-            ThrustInformation.of_points([lot.left for lot in lots]),
-        )
+        own = [(lot.scale, lot.information, lot.left) for lot in lots]
+        return cls(lots[0].thrusts, *joined(own))
 
     @property
     def offset_n(self) -> Array:
@@ -207,19 +203,13 @@ class BranchAt:
 
     def take(self, places: Places) -> BranchAt:
         """The same at some of the points, in that order."""
-        return self._cut(places, slice(None), self.thrusts)
+        own = self.scale, self.information, self.left
+        return BranchAt(self.thrusts, *picked(own, places))
 
     def first(self, count: int) -> BranchAt:
         """The same of the branch's first events alone."""
-        return self._cut(slice(None), slice(count), self.thrusts.first(count))
-
-    def _cut(self, points: Places | slice, events: slice, thrusts: BranchThrusts) -> BranchAt:
-        return BranchAt(
-            thrusts,
-            self.scale[points][:, events],
-            self.information.cut(points, events),
-            self.left.cut(points, events),
-        )
+        own = self.scale, self.information, self.left
+        return BranchAt(self.thrusts.first(count), *picked(own, np.s_[:, :count]))
 
 
 def _offset_n(thrusts: BranchThrusts, scale: Array) -> Array:
@@ -248,8 +238,8 @@ class MissionModel:
             terms = [term.at(points) for term in part.model.terms]
             rest = rest + sum(term.log_likelihood for term in terms)
             if len(part.places):
-                joined = ThrustInformation.joined([term.information for term in terms])
-                result.setdefault(part.branch, []).append((part, joined))
+                of_part = joined([term.information for term in terms], axis=1)
+                result.setdefault(part.branch, []).append((part, of_part))
         return tuple(
             self._branch_at(branch, result[branch.branch], parameters, relative)
             for branch in self.branches
@@ -294,12 +284,9 @@ class MissionModel:
         relative: Array,
     ) -> BranchAt:
         order = np.argsort(np.concatenate([part.places for part, _ in parts]))
-        joined = ThrustInformation.joined([information for _, information in parts])
-        information = ThrustInformation(
-            joined.matrix[:, order], joined.vector[:, order], joined.constant[:, order]
-        )
+        every = joined([information for _, information in parts], axis=1)
         scale = branch.scale_at(parameters, relative)
-        return BranchAt.of(branch, scale, information)
+        return BranchAt.of(branch, scale, picked(every, np.s_[:, order]))
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:

@@ -14,6 +14,7 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.mission.losses import Loss
 from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit
+from cassini_bayes.results.mission.groups import walked_draws
 from cassini_bayes.results.mission.trend import Trend
 from cassini_bayes.results.record import labelled
 
@@ -54,12 +55,8 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
     }
     dims = ("chain", "draw", "event", "thruster")
     data = {key: labelled(dims, array, "N", meanings[key]) for key, array in values.items()}
-    for name, value in fit.model.space.to_parameters(trend.draws.z).items():
-        if np.ndim(value):
-            unit = fit.model.units[name]
-            data[name] = labelled(("chain", "draw"), np.asarray(value)[None], unit, name)
     return xr.Dataset(
-        data,
+        data | walked_draws(fit.model, trend.draws.z),
         coords={
             "chain": [0],
             "draw": np.arange(len(fit.z)),
