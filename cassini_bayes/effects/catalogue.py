@@ -11,7 +11,7 @@ from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, o
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
 from cassini_bayes.effects.tables import ParameterTable, Table
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, known_parameters
 
@@ -43,12 +43,8 @@ class Catalogue:
         InputError
             There is none.
         """
-        for effect in self.effects:
-            if effect.name == name:
-                return effect
-        raise InputError(
-            f"effect {name}", "an effect of these events", repr(name), nearest(name, self.names)
-        )
+        check_known(f"effect {name}", name, self.names, "an effect of these events")
+        return self.effects[self.names.index(name)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -241,12 +237,8 @@ def _parameter(
     prior = priors.parameters.get(key)
     known = known_parameters(priors.spacecraft)
     if row.is_departure and key not in known:
-        raise InputError(
-            str(row.where),
-            f"a departure from a parameter of {priors.spacecraft.name}",
-            repr(key),
-            nearest(key, known),
-        )
+        expected = f"a departure from a parameter of {priors.spacecraft.name}"
+        check_known(str(row.where), key, known, expected)
     distribution = row.prior
     if not isinstance(distribution, Distribution):
         if prior is None or prior.distribution is None:
@@ -269,8 +261,7 @@ def _parameter(
 
 
 def _size(where: str, key: str, sizes: Sequence[str]) -> str:
-    if key not in sizes:
-        raise InputError(where, "a size of the effect", repr(key), nearest(key, sizes))
+    check_known(where, key, sizes, "a size of the effect")
     return key
 
 

@@ -32,7 +32,7 @@ from cassini_bayes.effects.appendage import (
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import Firings
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 from cassini_bayes.priors.distributions import Distribution
 
 SERIES: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
@@ -363,15 +363,6 @@ def _fine(
     return gram - across.T @ cho_solve(factor, across), projection
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """Share in per cent, frequency in hertz, amplitude in µrad/s."""
-    return (
-        f"an appendage with {sizes['inertia_fraction'].said('%', 100.0)} of the inertia swings at "
-        f"{sizes['frequency_hz'].said('Hz')}, damping {sizes['damping'].said()}, and moves the "
-        f"body by {sizes['amplitude_rad_s'].said('µrad/s', 1e6)}"
-    )
-
-
 KIND: Final = Kind(
     "flexible_mode",
     change,
@@ -379,5 +370,9 @@ KIND: Final = Kind(
     reported=("inertia_fraction", "frequency_hz", "damping", "amplitude_rad_s"),
     report=report,
     left_open=left_open,
-    says=says,
+    says=Clause(
+        "an appendage with {0} of the inertia swings at {1}, damping {2}, and moves the body by "
+        "{3}",
+        (("%", 100.0), ("Hz", 1.0), (None, 1.0), ("µrad/s", 1e6)),
+    ),
 )

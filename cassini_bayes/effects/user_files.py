@@ -45,6 +45,15 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "simulate": ("plan", "target", "values"),
 }
 
+RESULTS: Final[Mapping[str, type]] = {
+    **dict.fromkeys(("change", "change_in_rows"), Physics),
+    **dict.fromkeys(("report", "doubt"), dict),
+    "columns": tuple,
+    "fire": Fired,
+    "says": str,
+}
+"""Types of what functions return; that of a simulation is its argument's."""
+
 
 class _Source(SourceFileLoader):
     """Runs a file as it is now: no bytecode of an earlier edit, and none left beside it."""
@@ -209,30 +218,24 @@ def _fault(path: Path, expected: str, error: BaseException) -> InputError:
 
 def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
     """A result of the form that it has to have."""
-    if name in ("change", "change_in_rows"):
-        _check_type(where, result, Physics)
+    wanted = type(given[0]) if name == "simulate" else RESULTS.get(name)
+    if wanted is not None:
+        _check_type(where, result, wanted)
+    if wanted is Physics:
         _check_physics(where, result, given[0], given[2])
     elif name == "columns":
-        _check_type(where, result, tuple)
         return tuple(_checked_column(path, where, column, given[0]) for column in result)
     elif name == "search":
         return None if result is None else _checked_search(path, where, result)
     elif name == "left_open":
         columns, variances = _pair(where, result)
         _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))
-    elif name == "simulate":
-        _check_type(where, result, type(given[0]))
-    elif name == "fire":
-        _check_type(where, result, Fired)
-    elif name == "says":
-        _check_type(where, result, str)
-    elif name in ("report", "doubt"):
-        _check_type(where, result, dict)
+    elif name == "report":
         for key, value in result.items():
-            if name == "doubt":
-                _check_type(f"{where}: {key}", value, Printed)
-            else:
-                _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+            _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+    elif name == "doubt":
+        for key, value in result.items():
+            _check_type(f"{where}: {key}", value, Printed)
     return result
 
 

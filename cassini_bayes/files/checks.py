@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from datetime import UTC, datetime
 from typing import Final
 
@@ -27,6 +27,21 @@ def nearest(name: str, known: Iterable[str]) -> str:
     choices = list(known)
     close = closest(name, choices)
     return f"did you mean {close!r}?" if close else f"known: {', '.join(choices) or 'none'}"
+
+
+def check_known(
+    where: str, name: object, known: Collection[str], expected: str | None = None
+) -> None:
+    """Refuse a name that is none of those known, with a hint at the nearest.
+
+    Raises
+    ------
+    InputError
+        It is not; ``expected`` says what would be, the known names by default.
+    """
+    if name not in known:
+        wanted = expected or f"one of {', '.join(known)}"
+        raise InputError(where, wanted, repr(name), nearest(str(name), known))
 
 
 def finite_number(where: str, value: object, unit: str = "") -> float:

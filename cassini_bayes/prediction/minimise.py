@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.planning import expected_on_times, typical
 from cassini_bayes.prediction.predict import Prediction, predict
@@ -104,13 +104,7 @@ def cheapest_bias(
         An unknown objective; no wheel wanted or all of them; a rate beyond the limits, or a wanted
         one in the low-rpm zone.
     """
-    if objective not in OBJECTIVES:
-        raise InputError(
-            "--minimise",
-            f"one of {', '.join(OBJECTIVES)}",
-            repr(objective),
-            nearest(objective, OBJECTIVES),
-        )
+    check_known("--minimise", objective, OBJECTIVES)
     start = np.asarray(start_rpm, dtype=np.float64)
     _check_rates(wheels, start, wanted_rpm)
     one = typical(learned)

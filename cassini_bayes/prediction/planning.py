@@ -24,7 +24,7 @@ import numpy as np
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
 from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
@@ -119,8 +119,7 @@ def quantities(learned: Learned) -> dict[str, Array]:
 def quantity_draws(learned: Learned, name: str) -> Array:
     """Draws of a named quantity; InputError with the nearest name."""
     known = quantities(learned)
-    if name not in known:
-        raise InputError("--quantity", "a quantity of the fit", repr(name), nearest(name, known))
+    check_known("--quantity", name, known, "a quantity of the fit")
     return known[name]
 
 

@@ -14,6 +14,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_parts, in_processes
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model, log_posterior
@@ -30,9 +31,7 @@ from cassini_bayes.sampling.ensembles import (
 )
 from cassini_bayes.sampling.warmstart import (
     TRUSTED_K,
-    ImportanceDraws,
     LogDensity,
-    Proposal,
     WarmStart,
     warm_start,
 )
@@ -278,41 +277,11 @@ def _warm_start(
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
     if stored is not None:
-        values = {key: np.asarray(array, dtype=np.float64) for key, array in stored.items()}
-        return WarmStart(
-            mode=values["mode"],
-            proposal=Proposal(values["location"], values["factor"], float(values["dof"])),
-            laplace_log_evidence=float(values["laplace_log_evidence"]),
-            draws=ImportanceDraws(
-                z=values["z"],
-                log_weights=values["log_weights"],
-                log_evidence=float(values["log_evidence"]),
-                log_evidence_se=float(values["log_evidence_se"]),
-                pareto_k=float(values["pareto_k"]),
-                efficiency=float(values["efficiency"]),
-            ),
-        )
-    rng = _stream(seed, _WARM_START)
-    warm = warm_start(density_of, dimension, rng)
-    if store is None:
-        return warm
-    draws = warm.draws
-    store.save(
-        "warmstart",
-        {
-            "mode": warm.mode,
-            "location": warm.proposal.location,
-            "factor": warm.proposal.factor,
-            "dof": np.array(warm.proposal.dof),
-            "laplace_log_evidence": np.array(warm.laplace_log_evidence),
-            "z": draws.z,
-            "log_weights": draws.log_weights,
-            "log_evidence": np.array(draws.log_evidence),
-            "log_evidence_se": np.array(draws.log_evidence_se),
-            "pareto_k": np.array(draws.pareto_k),
-            "efficiency": np.array(draws.efficiency),
-        },
-    )
+        kept: WarmStart = value_of(WarmStart, stored)
+        return kept
+    warm = warm_start(density_of, dimension, _stream(seed, _WARM_START))
+    if store is not None:
+        store.save("warmstart", arrays_of(warm))
     return warm
 
 

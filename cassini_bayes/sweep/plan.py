@@ -16,7 +16,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.workers import Workers
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
@@ -140,10 +140,7 @@ def _kept(fit: Fit, draws: int) -> NDArray[np.int64]:
 def _groups(factory: ModelFactory, sweep: SweepFile, where: str) -> tuple[Group, ...]:
     blocks = {g.name: g for g in blocks_of(factory.build(factory.priors), factory.priors)}
     for name in sweep.blocks:
-        if name not in blocks:
-            raise InputError(
-                f"{where}: blocks", "prior blocks of the model", repr(name), nearest(name, blocks)
-            )
+        check_known(f"{where}: blocks", name, blocks, "prior blocks of the model")
     groups = tuple(Group(g.name, tuple(g.parameters)) for g in sweep.group)
     if sweep.blocks or groups:
         return (*(blocks[name] for name in sweep.blocks), *groups)

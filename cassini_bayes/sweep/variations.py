@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors
 from cassini_bayes.sweep.models import SweepModel
@@ -155,13 +155,9 @@ def grid_of(
 
 def _check_group(group: Group, acting: Sequence[str], priors: Priors, where: str) -> None:
     for name in group.parameters:
-        if name not in acting:
-            raise InputError(
-                f"{where}: group {group.name}",
-                "parameters that act in the model",
-                repr(name),
-                nearest(name, acting),
-            )
+        check_known(
+            f"{where}: group {group.name}", name, acting, "parameters that act in the model"
+        )
     if all(priors.parameters[name].distribution is None for name in group.parameters):
         raise InputError(
             f"{where}: group {group.name}",
