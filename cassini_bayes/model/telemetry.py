@@ -17,6 +17,7 @@ import numpy as np
 from cassini_bayes.balance.accelerometer import (
     ACCELEROMETER_PARAMETERS,
     ROUNDING_COUNTS_2,
+    AccelerometerStatistics,
     accelerometer_information,
     count_columns,
 )
@@ -48,18 +49,20 @@ from cassini_bayes.balance.telemetry_information import row_information
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
 from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.terms import (
+    STEP,
     TORQUE,
     Points,
     Shared,
     TermDraws,
     TermEvent,
     Variable,
+    slopes_of,
 )
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
-from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS
@@ -147,6 +150,11 @@ class TelemetryTerm:
             "rows_used": (each, used, "1", "rows of telemetry in the momentum balance"),
             "thrust_predicted_n": (each, _UNKNOWN[0], "N", "thrust printed with the event"),
         }
+
+    def with_modifiers(self, added: Sequence[tuple[Effect, Modifier]]) -> TelemetryTerm:
+        """The same with those effects that act in the event, as changes of its rows' physics."""
+        acting = (modifier for effect, modifier in added if effect.acts_in(self.id))
+        return replace(self, modifiers=(*self.modifiers, *acting))
 
     def without_idle_columns(self, points: Points) -> TelemetryTerm:
         """The same without columns that no point gives weight."""
@@ -247,22 +255,12 @@ class TelemetryAt:
 
     def _velocity(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
         """Information of a measured velocity change and of an accelerometer, where there are."""
-        if self.term.event.delta_v is not None:
-            yield delta_v_information(
-                self.term.event.delta_v,
-                self.physics,
-                self._directions,
-                self.points.parameters,
-                reference_n,
-            )
-        if self.term.event.accelerometer is not None:
-            yield accelerometer_information(
-                self.term.event.accelerometer,
-                self.physics,
-                self._directions,
-                self.points.parameters,
-                reference_n,
-            )
+        event = self.term.event
+        given = self.physics, self._directions, self.points.parameters, reference_n
+        if event.delta_v is not None:
+            yield delta_v_information(event.delta_v, *given)
+        if event.accelerometer is not None:
+            yield accelerometer_information(event.accelerometer, *given)
 
     @property
     def _directions(self) -> Array:
@@ -316,12 +314,9 @@ class TelemetryAt:
             density = density + constant + (linear * thrusts).sum(-1) - 0.5 * square
         return np.asarray(density[:, None])
 
-    def expected_information(
-        self, unknowns: Unknowns, first: int, step: float
-    ) -> Iterator[tuple[int, Array]]:
+    def expected_information(self, first: int) -> Iterator[tuple[int, Array]]:
         """Of the rows' balance, and of a measured velocity change."""
-        shared, d = self.points.shared, unknowns.walked.stop
-        prior = shared.thrust_prior
+        prior = self.points.shared.thrust_prior
         factor = self.term.thrust_factor(self.points)
         thrust = np.full(self.term.balance.pattern.thrusters, prior.common_mean_n)
         if factor is not None and self.term.event.fires:
@@ -335,10 +330,10 @@ class TelemetryAt:
             mean=mean,
             own_sd=self.system.own_sd[0],
             levels=np.concatenate([prior.shared, prior.departures], axis=1),
-            step=step,
+            step=STEP,
         )
         if self.term.event.delta_v is not None:
-            columns = self._delta_v_columns(self.term.event.delta_v, d, step)
+            columns = self._delta_v_columns(self.term.event.delta_v)
             size = len(columns)
             gram = self.term.event.delta_v.centred_gram
             noise = delta_v_variance(self.points.parameters)[0]
@@ -346,28 +341,23 @@ class TelemetryAt:
                 np.einsum("uca,ab,vcb->uv", columns, gram, columns, optimize=True) / noise
             )
         if self.term.event.accelerometer is not None:
-            counts = self._count_slopes(d, step)
+            counts = self._count_slopes(self.term.event.accelerometer)
             inner = counts @ self.term.event.accelerometer.centred_gram @ counts.T
             total[: len(counts), : len(counts)] += inner / ROUNDING_COUNTS_2
         yield first, total
 
-    def _count_slopes(self, d: int, step: float) -> Array:
+    def _count_slopes(self, statistics: AccelerometerStatistics) -> Array:
         """Slopes (unknown, 4 K + 1) of the accelerometer's counts: walked, levels, departures."""
-        prior, statistics = self.points.shared.thrust_prior, self.term.event.accelerometer
-        assert statistics is not None
-        each, drift = count_columns(
-            statistics, self.physics, self._directions, self.points.parameters
-        )
-        total = prior.common_mean_n * each.sum(1) + drift
-        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        prior, given = self.points.shared.thrust_prior, self.points.parameters
+        each, drift = count_columns(statistics, self.physics, self._directions, given)
+        walked = slopes_of(prior.common_mean_n * each.sum(1) + drift)
         return np.concatenate([walked, prior.shared.T @ each[0], prior.departures.T @ each[0]])
 
-    def _delta_v_columns(self, statistics: DeltaVStatistics, d: int, step: float) -> Array:
+    def _delta_v_columns(self, statistics: DeltaVStatistics) -> Array:
         """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
         prior = self.points.shared.thrust_prior
         each = delta_v_columns(statistics, self.physics, self._directions, self.points.parameters)
-        total = prior.common_mean_n * each.sum(1)
-        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        walked = slopes_of(prior.common_mean_n * each.sum(1))
         levels = np.einsum("kca,kq->qca", each[0], prior.shared)
         own = np.einsum("kca,kq->qca", each[0], prior.departures)
         return np.concatenate([walked, levels, own])

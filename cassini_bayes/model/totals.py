@@ -9,7 +9,7 @@ the response Jacobian, whose logarithm is expanded to second order about the ref
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal
 
@@ -38,6 +38,7 @@ from cassini_bayes.balance.totals_system import (
 )
 from cassini_bayes.balance.totals_terms import TotalsStack, stack_events
 from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.terms import (
@@ -48,9 +49,9 @@ from cassini_bayes.model.terms import (
     TermDraws,
     TermEvent,
     Variable,
+    slopes_of,
 )
 from cassini_bayes.model.thrusts import THRUST_COMMON, ThrustInformation, normal_log_density
-from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs, thruster_directions
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
@@ -101,6 +102,12 @@ class TotalsTerm:
     def integrated(self) -> tuple[str, ...]:
         """The constants of the on-board ΔV."""
         return () if self.computed is None else SOFTWARE
+
+    def with_modifiers(self, added: Sequence[tuple[Effect, Modifier]]) -> TotalsTerm:
+        """The same with more effects, as changes of the physics of the rows in which they act."""
+        acting = (tuple(effect.acts_in(row) for row in self.event_ids) for effect, _ in added)
+        modifiers = (*self.modifiers, *(modifier for _, modifier in added))
+        return replace(self, modifiers=modifiers, acting=(*self.acting, *acting))
 
     def at(self, points: Points) -> TotalsAt:
         """The balances at n points."""
@@ -281,15 +288,12 @@ class TotalsAt:
         departure = draws[TORQUE] - self.points.shared.torque_mean_n_m
         return self.system.residual(thrust_n, departure)
 
-    def expected_information(
-        self, unknowns: Unknowns, first: int, step: float
-    ) -> Iterator[tuple[int, Array]]:
+    def expected_information(self, first: int) -> Iterator[tuple[int, Array]]:
         """Of every row: its balance, whitened, against all its unknowns."""
         system, shared = self.system, self.points.shared
         prior = shared.thrust_prior
-        d = unknowns.walked.stop
         at_common = system.target - prior.common_mean_n * system.design.sum(-1)
-        walked = -(at_common[1 : d + 1] - at_common[d + 1 :]) / (2.0 * step)
+        walked = -slopes_of(at_common)
         factor = self.term.thrust_factor(self.points)
         for i in range(len(self.term.event_ids)):
             design = system.design[0, i]

@@ -27,7 +27,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.firing import mean_firing
-from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
+from cassini_bayes.prediction.ground_knowledge import group_impulse, hydrazine_g
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
     Physics,
@@ -304,8 +304,8 @@ def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> f
         return float("nan")
     effective = on_time * stretch(typical.model, physics, rate)
     total, couple = group_impulse(typical.layout, physics.delivered_n(typical.model), effective)
-    beta = typical.hydrazine.coefficients.mean(0)
-    return float(1e3 / GRAVITY_M_S2 * (total[0] * beta[0] + couple[0] * beta[1]) + beta[2])
+    mean = typical.hydrazine.coefficients.mean(0, keepdims=True)
+    return float(hydrazine_g(mean, total, couple)[0])
 
 
 def plan_dictionary(found: Plan, top: int) -> dict[str, Any]:

@@ -20,8 +20,8 @@ from cassini_bayes.prediction.demand import PairSolver
 from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (
     DURATION_SD_S,
-    GRAVITY_M_S2,
     group_impulse,
+    hydrazine_g,
     hydrazine_variance,
 )
 from cassini_bayes.prediction.learning import Learned
@@ -278,8 +278,6 @@ def _hydrazine(
     if learned.hydrazine is None:
         return None
     total, couple = group_impulse(learned.layout, thrust, effective)
-    beta = learned.hydrazine.coefficients
-    grams = 1e3 / GRAVITY_M_S2 * (total * beta[:, 0] + couple * beta[:, 1]) + beta[:, 2]
-    grams = np.maximum(grams, 0.0)
+    grams = np.maximum(hydrazine_g(learned.hydrazine.coefficients, total, couple), 0.0)
     spread = np.sqrt(learned.hydrazine.scale_square * hydrazine_variance(grams))
     return np.asarray(np.maximum(grams + spread * rng.standard_normal(learned.size), 0.0))
