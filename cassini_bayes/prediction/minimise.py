@@ -121,13 +121,13 @@ def cheapest_bias(
     for signs in product((-1.0, 1.0), repeat=len(free)):
         ends = _least(lambda ends: worth(_cost(one, request(ends))), np.array(signs))
         asked = request(ends)
-        choices.append(Choice(tuple(float(v) for v in asked.end_rpm), _cost(one, asked)))
+        choices.append(Choice(tuple(asked.end_rpm.tolist()), _cost(one, asked)))
     choices.sort(key=lambda choice: worth(choice.cost))
     best = BiasRequest("cheapest", wheels, start, np.array(choices[0].end_rpm))
     return CheapestBias(
         objective,
         wheels,
-        tuple(float(rate) for rate in start),
+        tuple(start.tolist()),
         tuple(choices),
         predict(learned, best, rng),
     )

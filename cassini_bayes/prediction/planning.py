@@ -166,15 +166,12 @@ def plan(
         )
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
-    result = []
-    for ends in product(*(_ends_of_wheel(rate, levels) for rate in start)):
-        end = np.array(ends)
-        if np.all(end == start):
-            continue
-        request = BiasRequest("candidate", wheels, start, end)
-        candidate = judge.candidate(one, request)
-        if budget_g is None or candidate.hydrazine_g <= budget_g:
-            result.append(candidate)
+    candidates = (
+        judge.candidate(one, BiasRequest("candidate", wheels, start, np.array(ends)))
+        for ends in product(*(_ends_of_wheel(rate, levels) for rate in start))
+        if not np.all(np.array(ends) == start)
+    )
+    result = [c for c in candidates if budget_g is None or c.hydrazine_g <= budget_g]
     if not result:
         raise InputError(
             "--budget", "enough hydrazine for one candidate", f"{budget_g:g} g", "raise it"
@@ -184,7 +181,7 @@ def plan(
         quantity,
         float(draws.mean()),
         float(draws.std()),
-        tuple(float(rate) for rate in start),
+        tuple(start.tolist()),
         wheels,
         tuple(result),
     )
@@ -253,7 +250,7 @@ class _Judge:
         change = request.end_rpm - request.start_rpm
         rho = self.correlation_square(on_time, change, request.start_rpm, request.end_rpm)
         return Candidate(
-            end_rpm=tuple(float(rate) for rate in request.end_rpm),
+            end_rpm=tuple(request.end_rpm.tolist()),
             information_nats=float(-0.5 * np.log1p(-rho)),
             sd_after=float(np.sqrt(self.variance * (1.0 - rho))),
             hydrazine_g=grams,

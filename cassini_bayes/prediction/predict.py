@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -34,13 +34,7 @@ from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 Source = Literal[
     "limit cycle", "rates at the ends", "thrust and geometry", "thrust of the event", "on-board ΔV"
 ]
-SOURCES: Final[tuple[Source, ...]] = (
-    "limit cycle",
-    "rates at the ends",
-    "thrust and geometry",
-    "thrust of the event",
-    "on-board ΔV",
-)
+SOURCES: Final[tuple[Source, ...]] = get_args(Source)
 
 
 @dataclass(frozen=True)

@@ -149,16 +149,7 @@ def check_convergence(
     per_walker = np.moveaxis(kept, 2, 1).reshape(m * walkers, -1, d)
     from_emcee = kept.shape[0] * kept.shape[1] * walkers / tau
     between = np.array([float(arviz().rhat(flat[:, :, j])) for j in range(d)])
-    sizes = np.array(
-        [
-            min(
-                float(arviz().ess(per_walker[:, :, j], method="bulk")),
-                float(arviz().ess(per_walker[:, :, j], method="tail")),
-                from_emcee[j],
-            )
-            for j in range(d)
-        ]
-    )
+    sizes = np.array([min(*_ess(per_walker[:, :, j]), from_emcee[j]) for j in range(d)])
     change = np.inf if previous_tau is None else float(np.max(np.abs(tau / previous_tau - 1.0)))
     length = kept.shape[1]
     failed = []
@@ -186,16 +177,18 @@ def stored_ess(draws: Array, walkers: int) -> tuple[float, float]:
     before the same walker comes round again; so each walker is also taken as a chain of its own,
     and the smaller of the two counts (where there are steps enough to tell).
     """
-    ess = arviz().ess
     m, n = draws.shape
     if n < FEWEST_STEPS * walkers:
-        return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))
+        return _ess(draws)
     per_walker = draws.reshape(m, n // walkers, walkers).transpose(0, 2, 1).reshape(m * walkers, -1)
-    bulk, tail = (
-        min(float(ess(draws, method=method)), float(ess(per_walker, method=method)))
-        for method in ("bulk", "tail")
-    )
+    bulk, tail = map(min, _ess(draws), _ess(per_walker))
     return bulk, tail
+
+
+def _ess(draws: Array) -> tuple[float, float]:
+    """Bulk and tail effective sample size of chains (M, n), as ArviZ has them."""
+    ess = arviz().ess
+    return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))
 
 
 def next_check(step: int) -> int:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.as_arrays import arrays_of
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
@@ -70,13 +71,29 @@ class Baseline:
         return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(key.encode()))))
 
 
+@dataclass(frozen=True)
+class Estimate:
+    """What one way of answering a cell gives: quality of its weights, moments, changes (q,)."""
+
+    kind: str
+    pareto_k: float
+    effective: float
+    mean: Array
+    sd: Array
+    quantiles: Array
+    shift: Array
+    shift_error: Array
+    width: Array
+    width_error: Array
+
+
 def cell_arrays(
     baseline: Baseline, variation: Variation, refit: Refit
 ) -> dict[str, NDArray[np.generic]]:
     """Work out a cell: arrays to be stored.
 
-    Keys ``<way>.<what>`` with way 0 (weighted draws) and, where fitted anew, 1; what is kind,
-    pareto_k, effective, mean, sd, quantiles, shift, shift_error, width, width_error.
+    Keys ``<way>.<what>`` with way 0 (weighted draws) and, where fitted anew, 1; what is a field of
+    :class:`Estimate`.
 
     Raises
     ------
@@ -112,19 +129,8 @@ def _cell_arrays(
 def _arrays(
     way: str, kind: str, weights: Weights, values: Array, change: Change
 ) -> dict[str, NDArray[np.generic]]:
-    result = moments(values, weights.values)
-    numbers = {
-        "pareto_k": np.array(weights.pareto_k),
-        "effective": np.array(weights.effective),
-        "mean": result.mean,
-        "sd": result.sd,
-        "quantiles": result.quantiles,
-        "shift": change.shift,
-        "shift_error": change.shift_error,
-        "width": change.width,
-        "width_error": change.width_error,
-    }
-    return {f"{way}.kind": np.array(kind)} | {f"{way}.{k}": v for k, v in numbers.items()}
+    numbers = vars(moments(values, weights.values)) | vars(change)
+    return arrays_of(Estimate(kind, weights.pareto_k, weights.effective, **numbers), way)
 
 
 def reweighted(

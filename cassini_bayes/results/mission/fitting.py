@@ -115,34 +115,30 @@ class Losses:
 
 
 @dataclass(frozen=True)
-class MissionFit:
-    """Equally weighted draws z (n, d) of a mission, given the reference losses of each branch.
+class EarlierDraws:
+    """What a fit hands on to the same mission with further events.
 
-    ``log_density`` (n,) is the one they were drawn from: what new events are weighed against.
+    Equally weighted draws z (n, d) of the parameters ``names`` given the reference losses of each
+    branch, and the density (n,) they were drawn from: what new events are weighed against.
     """
+
+    names: tuple[str, ...]
+    z: Array
+    log_density: Array
+    references: References
+    log_evidence: float  # given the references
+    log_evidence_se: float
+
+
+@dataclass(frozen=True)
+class MissionFit(EarlierDraws):
+    """A fitted mission: its draws, what they were made of, and what is believed of losses."""
 
     model: MissionModel
     prior: LossPrior
-    references: References
-    z: Array
-    log_density: Array
-    log_evidence: float  # given the references
-    log_evidence_se: float
     pareto_k: float
     efficiency: float
     losses: tuple[Losses, ...]  # of every branch
-
-    @property
-    def draws(self) -> EarlierDraws:
-        """What later events go on from."""
-        return EarlierDraws(
-            self.model.space.names,
-            self.z,
-            self.log_density,
-            self.references,
-            self.log_evidence,
-            self.log_evidence_se,
-        )
 
     @property
     def converged(self) -> bool:
@@ -160,22 +156,6 @@ class MissionFit:
             reference = losses.reference
             total += float(losses.log_prior[reference] - np.log(losses.probability[reference]))
         return total
-
-
-@dataclass(frozen=True)
-class EarlierDraws:
-    """What a fit hands on to the same mission with further events.
-
-    Equally weighted draws z (n, d) of the parameters ``names`` under given references, and the
-    density (n,) they were drawn from.
-    """
-
-    names: tuple[str, ...]
-    z: Array
-    log_density: Array
-    references: References
-    log_evidence: float
-    log_evidence_se: float
 
 
 def loss_prior(priors: Priors) -> LossPrior:
@@ -298,13 +278,14 @@ def fit_mission(
         references, result = best, None
     assert result is not None  # the loop ends with draws
     return MissionFit(
-        model,
-        prior,
-        references,
+        model.space.names,
         z,
         density(z),
+        references,
         result.log_evidence,
         result.log_evidence_se,
+        model,
+        prior,
         result.pareto_k,
         result.efficiency,
         losses,
