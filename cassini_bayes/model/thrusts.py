@@ -383,16 +383,17 @@ def _prior_thrusts(
     common = prior.common_at(parameters, n)
     if not thrusters:
         return ThrustDraws(np.zeros((*shape, 0)), common, np.zeros((n, 0)))
+    own = (*shape, prior.departures.shape[1])
     if prior.chained is not None:
-        white = rng.standard_normal((*shape, prior.departures.shape[1]))
+        white = rng.standard_normal(own)
         spread = rng.standard_normal((n, prior.shared.shape[1])) @ prior.shared.T
         level = prior.chained.levels_n(parameters) + spread
         common = _draw_common(prior, common, level, rng)
-        return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
-    individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
-    common = common + prior.common_sd_n * rng.standard_normal(n)
-    white = rng.standard_normal((*shape, prior.departures.shape[1]))
-    level = common[:, None] + individual
+    else:
+        individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
+        common = common + prior.common_sd_n * rng.standard_normal(n)
+        white = rng.standard_normal(own)
+        level = common[:, None] + individual
     return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
 
 

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array, picked
+from cassini_bayes.computing.arrays import Array, mapped, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
@@ -215,17 +215,11 @@ def joint_draws(
         value = log_likelihood(space.to_parameters(inside), which, seen) + terms
         return np.where((inside == z).all(-1), value, -np.inf)
 
-    typical = [
-        Features(**{name: np.full(1, np.mean(value)) for name, value in vars(f).items()})
-        for f in features
-    ]
+    typical = [mapped(lambda values: np.full(1, np.mean(values)), f) for f in features]
     proposal = _firing_proposal(lambda z: density(z, typical), space.dimension, rng)
     owner = np.tile(np.arange(given), pairings)
     z = proposal.sample(rng, len(owner))
-    repeated = [
-        Features(**{name: np.tile(value, pairings) for name, value in vars(f).items()})
-        for f in features
-    ]
+    repeated = [mapped(lambda values: np.tile(values, pairings), f) for f in features]
     log_weight = density(z, repeated) - proposal.log_density(z)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
-from cassini_bayes.computing.arrays import Array, picked
+from cassini_bayes.computing.arrays import Array, mapped, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.tables import rows_csv
@@ -192,11 +192,7 @@ def typical(learned: Learned) -> Learned:
     one = np.zeros(1, dtype=np.int64)
     physics = picked(learned.physics.at_mean(), one)
     firing = {name: np.full(1, np.mean(value)) for name, value in learned.firing.items()}
-    pulses = replace(
-        learned.pulses,
-        coefficients=learned.pulses.coefficients.mean(0, keepdims=True),
-        scale_square=learned.pulses.scale_square.mean(keepdims=True),
-    )
+    pulses = mapped(lambda draws: draws.mean(0, keepdims=True), learned.pulses)
     return replace(learned, physics=physics, firing=firing, pulses=pulses)
 
 

@@ -23,7 +23,7 @@ import pandas as pd
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -48,10 +48,7 @@ MOST_ROWS: Final = 50_000
 
 @dataclass(frozen=True)
 class PlainRows:
-    """Rows on which all channels of an event were sampled; counters from their first reading on.
-
-    ``corrected_s`` (n, K) are pulses' effective on-times by paper 000's ratio, cumulative.
-    """
+    """Rows on which all channels of an event were sampled; counters from their first reading on."""
 
     time_s: Array  # (n,)
     attitude: Array  # (n, 3, 3) inertial to body
@@ -71,7 +68,7 @@ def plain_rows(event: ReducedEvent) -> PlainRows:
         rows = np.flatnonzero(whole)
         kept = rows[(-done) % every :: every]
         done += len(rows)
-        parts.append(Samples(*(getattr(samples, name)[kept] for name in _CHANNELS)))
+        parts.append(picked(samples, kept))
     rows_of = Samples.joined(parts)
     return PlainRows(
         rows_of.time_s,
@@ -81,9 +78,6 @@ def plain_rows(event: ReducedEvent) -> PlainRows:
         rows_of.on_time_s - rows_of.on_time_s[:1],
         rows_of.pulses - rows_of.pulses[:1],
     )
-
-
-_CHANNELS: Final = ("time_s", "attitude", "rate_rad_s", "wheel_rad_s", "on_time_s", "pulses")
 
 
 def thrust_methods(model: Model) -> pd.DataFrame:

@@ -9,15 +9,16 @@ shows the body's own momentum ``I ω`` against what is left of the conserved tot
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.balance.open_counters import OpenScales, patterns_at, step_variances
-from cassini_bayes.balance.statistics import Carry, Samples, settle
+from cassini_bayes.balance.statistics import Carry, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance, open_scales
@@ -177,22 +178,13 @@ def _rows(term: TelemetryTerm, most_rows: int) -> tuple[Rows, int]:
     every = max(1, -(-statistics.rows // most_rows))
     parts = []
     carry, done = Carry.start(statistics.layout), 0
-    for samples, final in _with_end(term.event.rows):
+    for samples, following in pairwise(chain(term.event.rows, [None])):
+        assert samples is not None  # only the last one is followed by nothing
+        final = following is None
         rows, carry = settle(samples, carry, statistics.layout, term.event.sampling, final)
         parts.append(rows.part(slice((-done) % every, None, every)))
         done += len(rows.time_s)
     return Rows.joined(parts), every
-
-
-def _with_end(samples: Iterable[Samples]) -> Iterator[tuple[Samples, bool]]:
-    """Every item with whether it is the last."""
-    previous: Samples | None = None
-    for item in samples:
-        if previous is not None:
-            yield previous, False
-        previous = item
-    if previous is not None:
-        yield previous, True
 
 
 def _both_sides(
