@@ -8,8 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.effect import Setting, Values
+from cassini_bayes.spacecraft import wheel_axes
 
 AXES: Final = ("x", "y", "z")
 
@@ -34,6 +36,14 @@ def with_more(physics: Physics, **added: Array) -> Physics:
         name: np.asarray(getattr(physics, name)) + more for name, more in added.items()
     }
     return replace(physics, **sums)
+
+
+def with_moved_axes(
+    physics: Physics, parameters: Parameters, values: Values, setting: Setting
+) -> Physics:
+    """Wheel axes where the baseline's tilts and angles and the departures together put them."""
+    moved = {name: np.asarray(parameters[name]) + value for name, value in values.items()}
+    return replace(physics, wheel_axes=wheel_axes(setting.spacecraft, {**parameters, **moved}))
 
 
 def with_columns(physics: Physics, weights: Mapping[str, Array]) -> Physics:

@@ -193,8 +193,7 @@ def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillat
     motions = [known_motion(samples.time_s, samples.rate_rad_s) for samples in remainder.samples]
     linear, rows = remainder.with_turns()
     inertia = [remainder.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in AXES]
-    amplitude, share = (priors[key].scale for key in ("cosine_rad_s", "inertia_fraction"))
-    scales = amplitude, share
+    scales = priors["cosine_rad_s"].scale, priors["inertia_fraction"].scale
     return find_oscillation(rows, [*motions, *motions], linear, np.array(inertia), scales)
 
 

@@ -111,12 +111,10 @@ def load_kind(path: Path) -> Kind:
         )
     _check_figures(path, kind)
     hooks: dict[str, Any] = {
-        name: guarded(path, name, hook)
+        name: guarded(path, name, hook, kind.reported)
         for name in ARGUMENTS
         if (hook := getattr(kind, name, None)) is not None
     }
-    if kind.report is not None:
-        hooks["report"] = _reporting(_hook_line(path, kind.report), hooks["report"], kind.reported)
     return replace(kind, **hooks)
 
 
@@ -158,27 +156,10 @@ def _hook_line(path: Path, hook: Any) -> str:
     return str(path) if code is None else f"{path}, line {code.co_firstlineno}"
 
 
-def _reporting(
-    where: str, report: Callable[..., Any], sizes: tuple[str, ...]
-) -> Callable[..., Any]:
-    """A report that has to give the sizes that the kind says it reports."""
-
-    def call(*given: Any) -> Any:
-        result = report(*given)
-        if set(result) != set(sizes):
-            raise InputError(
-                f"{where}: report",
-                f"the sizes that KIND.reported names, {sorted(sizes)}",
-                str(sorted(result)),
-                "return these",
-            )
-        return result
-
-    return call
-
-
-def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
+def guarded(path: Path, name: str, hook: Any, reported: tuple[str, ...] = ()) -> Callable[..., Any]:
     """A function of a user's file, whose faults are one line, and whose result is checked.
+
+    A report has to give the sizes that its kind says are ``reported``.
 
     Raises
     ------
@@ -200,7 +181,12 @@ def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
             raise _fault(path, f"{wanted} that returns", error) from None
-        return _checked(path, f"{_hook_line(path, hook)}: {name}", name, result, given)
+        where = f"{_hook_line(path, hook)}: {name}"
+        result = _checked(path, where, name, result, given)
+        if name == "report" and set(result) != set(reported):
+            expected = f"the sizes that KIND.reported names, {sorted(reported)}"
+            raise InputError(where, expected, str(sorted(result)), "return these")
+        return result
 
     return call
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from cassini_bayes.effects.changes import with_moved_axes
 from cassini_bayes.effects.effect import Kind
-from cassini_bayes.effects.wheel_axes import with_moved_axes
 from cassini_bayes.effects.wording import Clause
 
 KIND: Final = Kind(

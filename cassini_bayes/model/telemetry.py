@@ -177,19 +177,6 @@ _UNKNOWN: Final = np.full((1, 1), np.nan)
 
 
 @dataclass(frozen=True)
-class UnknownsGivenThrusts:
-    """Conditional normal of an event's own unknowns given its thrusts.
-
-    In standardised coordinates v = (u − mean)/sd: precision with the lower ``factor``, mean
-    factor⁻ᵀ (shift − coupling F).
-    """
-
-    factor: Array  # (n, U, U)
-    shift: Array  # (n, U)
-    coupling: Array  # (n, U, K)
-
-
-@dataclass(frozen=True)
 class TelemetryAt:
     """A telemetry event at n points."""
 
@@ -214,37 +201,32 @@ class TelemetryAt:
         )
 
     @cached_property
-    def _collapsed(self) -> tuple[UnknownsGivenThrusts, Array, Array, Array]:
-        """Own unknowns integrated out: their factors, and matrix, vector, constant of the thrusts.
+    def _collapsed(self) -> tuple[Array, ...]:
+        """Own unknowns u integrated out: what is left of them, and of the thrusts F.
 
-        With M the normal equations and v the standardised own unknowns, their precision is
-        1 + s M_vv s.
+        With M the normal equations and v = (u − mean)/sd, given F, v is normal: its precision is
+        1 + s M_vv s with the lower factor (n, U, U), its mean factor⁻ᵀ (shift − coupling F), shift
+        (n, U) and coupling (n, U, K). Then come matrix, vector and constant of the thrusts.
         """
         system = self.system
-        factor, shift, coupling, matrix, vector, constant = without_own(
+        *left, constant = without_own(
             system.normal,
             self.term.balance.pattern.thrusters,
             system.own_mean,
             system.own_sd,
             np.ascontiguousarray(self.points.common_n),
         )
-        return (
-            UnknownsGivenThrusts(factor, shift, coupling),
-            matrix,
-            vector,
-            system.log_scale + constant,
-        )
+        return *left, system.log_scale + constant
 
     @property
     def log_likelihood(self) -> Array:
         """That of an event that does not fire, (n,)."""
-        _, _, _, constant = self._collapsed
-        return np.zeros(self.points.n) if self.term.event.fires else constant
+        return np.zeros(self.points.n) if self.term.event.fires else self._collapsed[-1]
 
     @property
     def information(self) -> ThrustInformation:
         """Information of momentum and of a measured velocity change on the event's thrusts."""
-        _, matrix, vector, constant = self._collapsed
+        *_, matrix, vector, constant = self._collapsed
         if not self.term.event.fires:
             return ThrustInformation.nothing(
                 self.points.n, len(self.points.shared.thrust_prior.shared)
@@ -286,11 +268,10 @@ class TelemetryAt:
 
     def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
         """Initial momentum, torque and cut tails given the thrusts."""
-        factors = self._collapsed[0]
-        thrusts = thrust_n.reshape(self.points.n, -1, 1)
-        pull = factors.shift - (factors.coupling @ thrusts)[..., 0]
+        factor, shift, coupling, *_ = self._collapsed
+        pull = shift - (coupling @ thrust_n.reshape(self.points.n, -1, 1))[..., 0]
         white = pull + rng.standard_normal(pull.shape)
-        v = np.linalg.solve(np.swapaxes(factors.factor, -1, -2), white[..., None])[..., 0]
+        v = np.linalg.solve(np.swapaxes(factor, -1, -2), white[..., None])[..., 0]
         own = self.system.own_mean + self.system.own_sd * v
         places = self.term.balance.unknowns.at(0)
         return {

@@ -25,7 +25,7 @@ from cassini_bayes.files.checks import check_known
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.planning import expected_on_times, typical
 from cassini_bayes.prediction.predict import Prediction, predict
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import rates_rpm
 
 STEP_S: Final = 1.0  # of the time that wheels spend in the low-rpm zone
@@ -146,13 +146,7 @@ def _check_rates(wheels: tuple[int, ...], start: Array, wanted: Mapping[int, flo
         if number not in wheels:
             raise InputError("--to", f"wheels {names}", f"wheel {number}", "leave it out")
     for key, rates in (("--from", start), ("--to", np.array(list(wanted.values())))):
-        if np.abs(rates).max() > WHEEL_LIMIT_RPM:
-            raise InputError(
-                key,
-                f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min",
-                f"{rates[np.abs(rates).argmax()]:g}",
-                "check them",
-            )
+        check_rates(key, rates)
     low = [rate for rate in wanted.values() if abs(rate) < LOW_RPM]
     if low:
         raise InputError(

@@ -167,24 +167,17 @@ def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
 
 
 def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path: Path) -> Physics:
-    parameters: dict[str, Array | float] = {
-        **model.space.fixed,
-        **model.idle,
-    }
-    inertia = {
-        wheel.inertia_parameter: wheels.index(wheel.name)
-        for wheel in model.spacecraft.wheels
-        if wheel.name in wheels
-    }
+    parameters: dict[str, Array | float] = {**model.space.fixed, **model.idle}
+    if "rwa_inertia_kg_m2" in values:
+        spins = dict(zip(wheels, values["rwa_inertia_kg_m2"].T, strict=True))
+        named = [wheel for wheel in model.spacecraft.wheels if wheel.name in spins]
+        values = {**{wheel.inertia_parameter: spins[wheel.name] for wheel in named}, **values}
     for name in model.space.names:
-        if name in values:
-            parameters[name] = values[name]
-        elif name in inertia and "rwa_inertia_kg_m2" in values:
-            parameters[name] = values["rwa_inertia_kg_m2"][:, inertia[name]]
-        else:
+        if name not in values:
             raise InputError(
                 str(path), f"draws of {name}", "none", "name the priors file of the fit (--priors)"
             )
+        parameters[name] = values[name]
     size = len(values["thrust_level_n"])
     software = np.zeros((size, 2))
     if model.totals_rows.computed is not None:

@@ -39,7 +39,7 @@ from cassini_bayes.prediction.physics import (
     wheels_of,
 )
 from cassini_bayes.prediction.predict import on_times_of
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import duration_s
 
 LEVEL: Final = "thrust_level_"
@@ -108,12 +108,11 @@ def quantities(learned: Learned) -> dict[str, Array]:
     }
     result["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
-    delivered = physics.delivered_n(learned.model)
-    for k, name in enumerate(learned.model.thrusters):
-        result[f"impulse_per_on_time_{name}_n"] = delivered[:, k] * kappa[:, k]
-    for name in learned.model.space.names:
-        result[name] = np.asarray(physics.parameters[name])
-    return result
+    impulses = physics.delivered_n(learned.model) * kappa
+    for name, impulse in zip(learned.model.thrusters, impulses.T, strict=True):
+        result[f"impulse_per_on_time_{name}_n"] = impulse
+    walked = {name: np.asarray(physics.parameters[name]) for name in learned.model.space.names}
+    return result | walked
 
 
 def quantity_draws(learned: Learned, name: str) -> Array:
@@ -155,11 +154,7 @@ def plan(
     """
     draws = quantity_draws(learned, quantity)
     start = np.asarray(start_rpm, dtype=np.float64)
-    if np.abs(start).max() > WHEEL_LIMIT_RPM:
-        worst = float(start[np.abs(start).argmax()])
-        raise InputError(
-            "--from", f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min", f"{worst:g}", "check them"
-        )
+    check_rates("--from", start)
     if budget_g is not None and learned.hydrazine is None:
         raise InputError(
             "--budget", "a fit whose events print hydrazine", "one without", "leave it out"

@@ -165,6 +165,20 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
     return tuple(result)
 
 
+def check_rates(where: str, rates_rpm: Array) -> None:
+    """Refuse rates beyond the wheels' limit.
+
+    Raises
+    ------
+    InputError
+        The fastest of them is named.
+    """
+    fastest = rates_rpm[np.abs(rates_rpm).argmax()]
+    if abs(fastest) > WHEEL_LIMIT_RPM:
+        expected = f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min"
+        raise InputError(where, expected, f"{fastest:g}", "check them")
+
+
 def check_request(
     request: BiasRequest,
     spacecraft: Spacecraft,

@@ -221,23 +221,21 @@ def delta_v_table(model: Model, fit: Fit) -> pd.DataFrame:
     ``computed_sd_mm_s`` is the spread of the computation itself, ``noise_sd_mm_s`` that of the
     printed figure about it.
     """
-    columns = ("event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s")
-    rows = pd.DataFrame(columns=list(columns))
-    for term in model.totals:
-        channel = term.computed
-        if channel is None:
-            continue
-        software = np.stack([fit.posterior[name].values.reshape(-1) for name in SOFTWARE], axis=-1)
-        computed = predicted_delta_v(channel, software) * MM_PER_M
-        values = (
-            np.array(term.event_ids)[channel.used],
-            channel.printed_m_s * MM_PER_M,
-            computed.mean(0),
-            computed.std(0, ddof=1),
-            fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M,
-        )
-        rows = pd.DataFrame(dict(zip(columns, values, strict=True)))
-    return rows
+    columns = ["event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s"]
+    channels = [term.computed for term in model.totals if term.computed is not None]
+    if not channels:
+        return pd.DataFrame(columns=columns)
+    (channel,) = channels
+    software = np.stack([fit.posterior[name].values.reshape(-1) for name in SOFTWARE], axis=-1)
+    computed = predicted_delta_v(channel, software) * MM_PER_M
+    values = (
+        np.array(model.totals_rows.event_ids)[channel.used],
+        channel.printed_m_s * MM_PER_M,
+        computed.mean(0),
+        computed.std(0, ddof=1),
+        fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M,
+    )
+    return pd.DataFrame(dict(zip(columns, values, strict=True)))
 
 
 def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, pairwise
 from typing import Final
 
@@ -199,20 +200,13 @@ def _both_sides(
         is_measured & (pattern.row >= layout.wheel.start) & (pattern.row < layout.wheel.stop)
     )
     initial = (owner >= places.initial.start) & (owner < places.initial.stop)
-    masks = {
-        "measured": is_measured,
-        "wheels": in_wheels,
-        "initial": initial,
-        "delivered": ~is_measured & ~initial,
-    }
-    sums = {
-        name: _applied(rows, layout.size, pattern.row, weights, factor[:, owner], mask)
-        for name, mask in masks.items()
-    }
+    applied = partial(_applied, rows, layout.size, pattern.row, weights, factor[:, owner])
+    measured, conserved = applied(is_measured), applied(initial)
+    delivered = applied(~is_measured & ~initial)
     if balance.fires:
-        return sums["measured"] - sums["initial"], sums["delivered"]
-    body = sums["measured"] - sums["wheels"]
-    return body, sums["initial"] + sums["delivered"] - sums["wheels"]
+        return measured - conserved, delivered
+    wheels = applied(in_wheels)
+    return measured - wheels, conserved + delivered - wheels
 
 
 def _series(balance: BalanceRows) -> EventSeries:

@@ -32,6 +32,8 @@ MAX_RHAT: Final = 1.01  # of rank-normalised R̂ (Vehtari et al. 2021)
 GROWTH: Final = 1.25  # length at a check over that at the last: few checks, little overshoot
 START_ATTEMPTS: Final = 100
 FEWEST_STEPS: Final = 8
+_RANDOM: Final = ("random_key", "random_position", "random_has_gauss", "random_gauss")
+"""Arrays of the state of a Mersenne Twister, in the order of numpy."""
 
 
 @dataclass(frozen=True)
@@ -263,14 +265,8 @@ def sample(
             fresh_seconds += time.monotonic() - began
         if progress:
             per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
-            progress(
-                ProgressReport(
-                    step,
-                    convergence.steps_left,
-                    convergence.steps_left * per_step,
-                    convergence.failed,
-                )
-            )
+            left = convergence.steps_left
+            progress(ProgressReport(step, left, left * per_step, convergence.failed))
         chains = Chains(
             z, np.concatenate(densities, axis=1), accepted / (step * walkers), convergence
         )
@@ -304,10 +300,7 @@ def _ensemble(
     share = settings.independence_share
 
     def independent(coordinates: Array, random: np.random.RandomState) -> tuple[Array, Array]:
-        new = proposal.transform(
-            random.standard_normal(coordinates.shape),
-            random.chisquare(proposal.dof, len(coordinates)),
-        )
+        new = proposal.sample(random, len(coordinates))
         return new, proposal.log_density(coordinates) - proposal.log_density(new)
 
     moves = [
@@ -335,10 +328,7 @@ def _start(
         outside = np.flatnonzero(values == -np.inf)
         if not len(outside):
             break
-        z[outside] = proposal.transform(
-            random.standard_normal((len(outside), z.shape[1])),
-            random.chisquare(proposal.dof, len(outside)),
-        )
+        z[outside] = proposal.sample(random, len(outside))
         values[outside] = log_density(z[outside])
     else:
         raise CassiniBayesError(
@@ -370,15 +360,14 @@ def _advance(
 def _pack(
     states: list[emcee.State], results: list[tuple[emcee.State, Array, Array, float]]
 ) -> dict[str, NDArray[np.generic]]:
-    random = [state.random_state for state in states]
     return {
         "z": np.stack([result[1] for result in results]),
         "log_density": np.stack([result[2] for result in results]),
         "accepted": np.array([result[3] for result in results]),
-        "random_key": np.stack([np.asarray(r[1], dtype=np.uint32) for r in random]),
-        "random_position": np.array([r[2] for r in random], dtype=np.int64),
-        "random_has_gauss": np.array([r[3] for r in random], dtype=np.int64),
-        "random_gauss": np.array([r[4] for r in random], dtype=np.float64),
+        **{
+            name: np.array([state.random_state[place] for state in states])
+            for place, name in enumerate(_RANDOM, start=1)
+        },
     }
 
 
@@ -388,13 +377,7 @@ def _unpack(arrays: Mapping[str, NDArray[np.generic]]) -> list[emcee.State]:
         emcee.State(
             z[i, -1],
             log_prob=log_density[i, -1],
-            random_state=(
-                "MT19937",
-                arrays["random_key"][i],
-                int(arrays["random_position"][i]),
-                int(arrays["random_has_gauss"][i]),
-                float(arrays["random_gauss"][i]),
-            ),
+            random_state=("MT19937", *(arrays[name][i] for name in _RANDOM)),
         )
         for i in range(len(z))
     ]

@@ -45,16 +45,11 @@ class Proposal:
     factor: Array
     dof: float
 
-    def transform(self, normals: Array, chi_square: Array) -> Array:
-        """Student-t draws (n, d) from standard normals (n, d) and χ²_dof draws (n,)."""
-        scale = np.sqrt(self.dof / chi_square)[:, None]
-        return np.asarray(self.location + scale * (normals @ self.factor.T))
-
-    def sample(self, rng: np.random.Generator, n: int) -> Array:
+    def sample(self, rng: np.random.Generator | np.random.RandomState, n: int) -> Array:
         """n draws, shape (n, d)."""
-        return self.transform(
-            rng.standard_normal((n, len(self.location))), rng.chisquare(self.dof, n)
-        )
+        normals = rng.standard_normal((n, len(self.location)))
+        scale = np.sqrt(self.dof / rng.chisquare(self.dof, n))[:, None]
+        return np.asarray(self.location + scale * (normals @ self.factor.T))
 
     def log_density(self, z: Array) -> Array:
         """Log density at z (n, d), shape (n,)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -53,9 +54,7 @@ def block_coordinates(model: SweepModel, priors: Priors, fit: Fit) -> dict[str, 
         mean, sd = drawn[1].mean(0), drawn[1].std(0, ddof=1)
         varies = sd > 0
         if varies.any():
-            names = tuple(
-                name for name, is_varied in zip(drawn[0], varies, strict=True) if is_varied
-            )
+            names = tuple(compress(drawn[0], varies))
             before, after = (((d - mean) / np.where(varies, sd, 1.0))[:, varies] for d in drawn[1:])
             result[block] = Coordinates(names, before, after)
     return result

@@ -104,10 +104,8 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep
         _groups(factory, sweep, where),
         model,
         factory.priors,
-        widths=sweep.grid.widths,
-        shifts=sweep.grid.shifts,
-        families=sweep.grid.families,
-        where=where,
+        sweep.grid,
+        where,
     )
     if sweep.grid.events and len(factory.event_ids) > 1:
         cells += tuple(Variation(EVENTS, "without", event=name) for name in factory.event_ids)

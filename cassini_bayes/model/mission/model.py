@@ -343,29 +343,19 @@ def build_mission(
         for name in (*model.space.names, *model.space.fixed):
             prior = of_branch.parameters[name]
             label = mission_name(name, prior.spec.block, branch, names_of_branches, several)
-            names[name] = label
-            prior_of[label] = prior
-        laws = [
+            names[name], prior_of[label] = label, prior
+        by_pressure, by_age = (
             mission_name(law, "tail-off", branch, names_of_branches, several)
             for law in (TAIL_PRESSURE, TAIL_AGEING)
-        ]
+        )
         if len(places):
             of_branch.require((INTERCEPT, TAIL_PRESSURE, TAIL_AGEING), "a mission")
-            prior_of[laws[0]] = of_branch.parameters[TAIL_PRESSURE]
-            prior_of[laws[1]] = of_branch.parameters[TAIL_AGEING]
+            prior_of[by_pressure] = of_branch.parameters[TAIL_PRESSURE]
+            prior_of[by_age] = of_branch.parameters[TAIL_AGEING]
             prior_of[INTERCEPT] = priors.parameters[INTERCEPT]
-        parts.append(
-            Part(
-                model,
-                places,
-                branch,
-                names,
-                tuple(_changes(mission, circumstances, members[0])),
-                laws[0],
-                laws[1],
-                members[0],
-            )
-        )
+        first = members[0]
+        changes = tuple(_changes(mission, circumstances, first))
+        parts.append(Part(model, places, branch, names, changes, by_pressure, by_age, first))
     if circumstances.tank.is_circular:
         priors.require([USED_FACTOR], "a blowdown law")
         if mission.propellant is not None and mission.propellant.computed:

@@ -36,6 +36,7 @@ from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
+    TRUSTED_K,
     ImportanceDraws,
     LogDensity,
     Proposal,
@@ -46,8 +47,6 @@ from cassini_bayes.sampling.warmstart import (
     refined,
 )
 
-MOST_K: Final = 0.7
-"""Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
 PASSES: Final = 4  # at the hypotheses, each with draws of its own
@@ -143,7 +142,7 @@ class MissionFit(EarlierDraws):
     @property
     def converged(self) -> bool:
         """Whether the importance draws can be trusted."""
-        return self.pareto_k < MOST_K
+        return self.pareto_k < TRUSTED_K
 
     @property
     def log_evidence_total(self) -> float:
@@ -294,7 +293,7 @@ def fit_mission(
 
 def trusted(found: ImportanceDraws) -> bool:
     """Whether importance draws are a result."""
-    return found.pareto_k < MOST_K and found.efficiency * len(found.z) > LEAST_DRAWS
+    return found.pareto_k < TRUSTED_K and found.efficiency * len(found.z) > LEAST_DRAWS
 
 
 def _importance(
