@@ -139,16 +139,12 @@ def named_effects(
             )
         onset = _onset(given, event, order, where) if "@" in given else None
         chosen.append(replace(effect.as_fitted(), onset=onset))
-    taken = set(known_parameters(priors.spacecraft))
+    taken = list(known_parameters(priors.spacecraft))
     for spec in (spec for effect in chosen for spec in effect.specs):
         if spec.name in taken:
-            raise InputError(
-                where,
-                "parameters of names of their own",
-                f"{spec.name!r} twice",
-                "rename the effect",
-            )
-        taken.add(spec.name)
+            expected = "parameters of names of their own"
+            raise InputError(where, expected, f"{spec.name!r} twice", "rename the effect")
+        taken.append(spec.name)
     return tuple(chosen)
 
 

@@ -120,27 +120,24 @@ def load_kind(path: Path) -> Kind:
 
 def _check_figures(path: Path, kind: Kind) -> None:
     """What of a kind is no function."""
-    given: Any = kind  # a user may have given anything
-    forms: Mapping[str, tuple[str, bool]] = {
-        "reported": (
-            "a tuple of texts",
-            isinstance(given.reported, tuple) and all(isinstance(k, str) for k in given.reported),
-        ),
-        "known_to": (
-            "steps by size",
-            isinstance(given.known_to, Mapping)
-            and all(isinstance(v, int | float) and v >= 0 for v in given.known_to.values()),
-        ),
-        "separation": (
-            "texts by kind",
-            isinstance(given.separation, Mapping)
-            and all(isinstance(v, str) for v in given.separation.values()),
-        ),
-    }
-    for name, (expected, holds) in forms.items():
-        if not holds:
+    for name, expected, form, holds in (
+        ("reported", "a tuple of texts", tuple, _is_text),
+        ("known_to", "steps by size", Mapping, _is_step),
+        ("separation", "texts by kind", Mapping, _is_text),
+    ):
+        given: Any = getattr(kind, name)  # a user may have given anything
+        values = given.values() if isinstance(given, Mapping) else given
+        if not isinstance(given, form) or not all(map(holds, values)):
             where = f"{_kind_line(path)}: KIND.{name}"
-            raise InputError(where, expected, repr(getattr(kind, name)), "write such")
+            raise InputError(where, expected, repr(given), "write such")
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_step(value: object) -> bool:
+    return isinstance(value, int | float) and value >= 0
 
 
 def _kind_line(path: Path) -> str:

@@ -352,14 +352,10 @@ def reduce_event(
     looked = PreparedRows(rows, likely.control_cycle_s, likely.guard_s)
     key = reduction_key(event, likely, policy)
     cached = _cached(cache, key)
-    if cached is None:
-        prepared = looked.prepared
-        sampling = sampling_of(priors, event.thrusters, prepared.end_s, pulse_shape)
-        statistics, reading = _reduced(event, rows, prepared, priors, sampling, log, policy)
-    else:
-        statistics, reading = cached
-        sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
-    sampling = statistics.counters.seen_by(sampling)
+    statistics, reading = cached or _reduced(
+        event, rows, looked.prepared, priors, likely, log, policy
+    )
+    sampling = statistics.counters.seen_by(replace(likely, duration_s=statistics.duration_s))
     source = "from the cache" if cached is not None else "reduced"
     blocks = f" (means over {sampling.block_s:g} s: hardly a row is without firing)"
     log(
@@ -528,10 +524,12 @@ def _reduced(
     rows: EventRows,
     prepared: Prepared,
     priors: Priors,
-    sampling: Sampling,
+    likely: Sampling,
     log: Log,
     policy: Policy,
 ) -> tuple[EventStatistics, ReadingRecord]:
+    """The reduction of an event that lasts as long as a first look has found."""
+    sampling = replace(likely, duration_s=prepared.end_s)
     layout = layout_of(event.wheels, event.thrusters, sampling)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, log)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -138,15 +137,13 @@ def gather(
     InputError
         Bad data: file, row and column are named.
     """
-    read = partial(
-        read_reference,
-        priors=priors,
-        pulse_shape=pulse_shape,
-        source=source,
-        policy=policy,
-        log=log,
-    )
-    return together([read(given) for given in each_event(events)], priors, policy)
+    reads = [
+        read_reference(
+            given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+        )
+        for given in each_event(events)
+    ]
+    return together(reads, priors, policy)
 
 
 def together(

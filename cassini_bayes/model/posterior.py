@@ -233,11 +233,10 @@ def _with_rough_thrusts(model: Model) -> Model:
     nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
     means, _ = thrust_moments(prior, _collapse_at(model, nominal).thrusts)
     rough = np.maximum(means[0], 0.0)
+    places = model.fired_of_term[len(model.totals) :]
     terms = [
         term.with_thrusts(rough[fired][0], nominal) if term.event.fires else term
-        for term, fired in zip(
-            model.telemetry, model.fired_of_term[len(model.totals) :], strict=True
-        )
+        for term, fired in zip(model.telemetry, places, strict=True)
     ]
     return replace(model, telemetry=tuple(terms))
 

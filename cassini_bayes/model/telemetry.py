@@ -345,14 +345,9 @@ class TelemetryAt:
 
     def variables(self, draws: TermDraws) -> Mapping[str, Variable]:
         """Initial momentum, inertia without the wheels' spin, and the mass where ΔV needs it."""
-        n = self.points.n
+        n, total = self.points.n, "total angular momentum at the first row, body axes"
         result: dict[str, Variable] = {
-            INITIAL: (
-                ("event", "axis"),
-                draws[INITIAL][:, None],
-                "N m s",
-                "total angular momentum at the first row, body axes",
-            )
+            INITIAL: (("event", "axis"), draws[INITIAL][:, None], "N m s", total)
         }
         shared = self.points.shared
         hub = without_wheels(self.physics, shared.spacecraft, shared.wheels)

@@ -165,17 +165,11 @@ class TotalsTerm:
 
     def observed(self) -> Mapping[str, Variable]:
         """On-times, pulses and velocity changes as printed."""
-        stack = self.stack
-        each = ("event", "thruster")
+        stack, each, along = self.stack, ("event", "thruster"), ("event", "axis")
         return {
             "on_time_s": (each, stack.on_time_s, "s", "commanded on-time"),
             "pulses": (each, stack.pulses, "1", "number of pulses"),
-            "delta_v_m_s": (
-                ("event", "axis"),
-                stack.delta_v_m_s,
-                "m s-1",
-                "velocity change, body axes",
-            ),
+            "delta_v_m_s": (along, stack.delta_v_m_s, "m s-1", "velocity change, body axes"),
         }
 
     def constants(self) -> Mapping[str, Variable]:
@@ -183,17 +177,12 @@ class TotalsTerm:
         stack = self.stack
         start = stack.wheel_start_rad_s * RPM_PER_RAD_S
         end = stack.wheel_end_rad_s * RPM_PER_RAD_S
-        each = ("event", "wheel")
+        each, wheel, printed = ("event",), ("event", "wheel"), stack.thrust_predicted_n
         return {
-            "duration_s": (("event",), stack.duration_s, "s", "duration of the event"),
-            "rwa_start_rpm": (each, start, "rpm", "wheel rate at the start"),
-            "rwa_end_rpm": (each, end, "rpm", "wheel rate at the end"),
-            "thrust_predicted_n": (
-                ("event",),
-                stack.thrust_predicted_n,
-                "N",
-                "thrust printed with the event",
-            ),
+            "duration_s": (each, stack.duration_s, "s", "duration of the event"),
+            "rwa_start_rpm": (wheel, start, "rpm", "wheel rate at the start"),
+            "rwa_end_rpm": (wheel, end, "rpm", "wheel rate at the end"),
+            "thrust_predicted_n": (each, printed, "N", "thrust printed with the event"),
         }
 
 
@@ -328,20 +317,12 @@ class TotalsAt:
         fresh = (factor @ rng.standard_normal((*factor.shape[:-1], 1)))[..., 0]
         matrix = self.system.response_matrix(thrust_n)
         answer = np.linalg.solve(matrix, (fresh - residual)[..., None])
-        stack = self.term.stack
+        stack, each, along = self.term.stack, ("event", "thruster"), ("event", "axis")
+        again = np.asarray(stack.on_time_s + (stack.response @ answer)[..., 0])
+        left = "thruster impulse plus torque minus the wheels' momentum change, at the data"
         return {
-            "on_time_s": (
-                ("event", "thruster"),
-                np.asarray(stack.on_time_s + (stack.response @ answer)[..., 0]),
-                "s",
-                "commanded on-time of the same bias flown again",
-            ),
-            "balance_residual_n_m_s": (
-                ("event", "axis"),
-                residual,
-                "N m s",
-                "thruster impulse plus torque minus the wheels' momentum change, at the data",
-            ),
+            "on_time_s": (each, again, "s", "commanded on-time of the same bias flown again"),
+            "balance_residual_n_m_s": (along, residual, "N m s", left),
         }
 
     def statistics(self, thrust_n: Array) -> Mapping[str, Variable]:

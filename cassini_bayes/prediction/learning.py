@@ -151,17 +151,12 @@ def _trends(
 ) -> tuple[Trend, Trend | None, Trend | None]:
     """Drift of the printed thrust, of thrust over mass, and of mass."""
     epochs = [event.epoch for event in events]
-    thrust = trend_of(
-        epochs, [event.thrust_predicted_n for event in events], PRINTED_THRUST_SD_N, rng, size
-    )
-    ratios = [
-        event.thrust_predicted_n / event.mass_kg
-        if event.thrust_predicted_n and event.mass_kg
-        else None
-        for event in events
-    ]
+    thrusts = [event.thrust_predicted_n for event in events]
+    masses = [event.mass_kg for event in events]
+    ratios = [f / m if f and m else None for f, m in zip(thrusts, masses, strict=True)]
+    thrust = trend_of(epochs, thrusts, PRINTED_THRUST_SD_N, rng, size)
     acceleration = trend_of(epochs, ratios, PRINTED_ACCELERATION_SD_M_S2, rng, size)
-    mass = trend_of(epochs, [event.mass_kg for event in events], PRINTED_MASS_SD_KG, rng, size)
+    mass = trend_of(epochs, masses, PRINTED_MASS_SD_KG, rng, size)
     return thrust or no_trend(epochs, size), acceleration, mass
 
 

@@ -47,7 +47,6 @@ def fold(
     beliefs: Beliefs,
     seed: int,
     size: int = 4_000,
-    pulse_shape: str = "first_order",
 ) -> HeldOut:
     """Predict one event. The others alone are passed on; of the event, rates, branch and date.
 
@@ -61,7 +60,7 @@ def fold(
     event = events[held_out]
     others = tuple(other for row, other in enumerate(events) if row != held_out)
     rng = np.random.default_rng(np.random.SeedSequence((seed, held_out)))
-    model = build_model(others, priors, pulse_shape=pulse_shape)
+    model = build_model(others, priors)
     physics, efficiency, k = importance_physics(model, rng, PHYSICS_DRAWS)
     learned = learn(model, others, physics, beliefs, rng, size)
     prediction = predict(learned, request_of(event), rng)

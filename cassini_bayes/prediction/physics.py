@@ -185,24 +185,20 @@ def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path
     return Physics(parameters, values["thrust_n"], values["thrust_level_n"], software)
 
 
-@dataclass(frozen=True)
-class Wheels:
-    """Momentum per rev/min of every wheel in file order (n, 3, W), N m s per rev/min."""
-
-    momentum_per_rpm: Array
-
-    def of(self, model: Model, wheels: tuple[int, ...], rates_rpm: Array) -> Array:
-        """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
-        numbers = [wheel.number for wheel in model.spacecraft.wheels]
-        columns = [numbers.index(n) for n in wheels]
-        momentum = self.momentum_per_rpm[:, :, columns]
-        return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
-
-
-def wheels_of(model: Model, physics: Physics) -> Wheels:
-    """Wheel momentum at every draw."""
+def momentum_per_rpm(model: Model, physics: Physics, wheels: tuple[int, ...] = ()) -> Array:
+    """Momentum (n, 3, W), N m s per rev/min, of wheels by number, or of all in file order."""
     weights = physics.balance(model).wheel_weights * RAD_S_PER_RPM
-    return Wheels(np.broadcast_to(weights, (physics.size, *weights.shape[-2:])))
+    each = np.broadcast_to(weights, (physics.size, *weights.shape[-2:]))
+    numbers = [wheel.number for wheel in model.spacecraft.wheels]
+    return each[:, :, [numbers.index(n) for n in wheels]] if wheels else each
+
+
+def wheel_momentum(
+    model: Model, physics: Physics, wheels: tuple[int, ...], rates_rpm: Array
+) -> Array:
+    """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
+    momentum = momentum_per_rpm(model, physics, wheels)
+    return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
 
 
 def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) -> Array:
@@ -241,7 +237,7 @@ def demand_of(
     That is the wheels' change less what a steady torque of the fit's effects gives, which acts all
     the time. ``ends_rpm`` are the rates (W,) at start and end, ``duration_s`` is (n,) or one.
     """
-    changes = wheels_of(model, physics).of(model, wheels, segments_rpm(manager, wheels, *ends_rpm))
+    changes = wheel_momentum(model, physics, wheels, segments_rpm(manager, wheels, *ends_rpm))
     times = piece_times_s(manager, wheels, ends_rpm[1] - ends_rpm[0])
     lasts = np.broadcast_to(np.asarray(duration_s, dtype=np.float64), (physics.size,))
     each = lasts[:, None] * np.diff(times) / times[-1]

@@ -34,9 +34,9 @@ from cassini_bayes.prediction.physics import (
     arms_of,
     demand_of,
     features_of,
+    momentum_per_rpm,
     solver_of,
     stretch,
-    wheels_of,
 )
 from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
@@ -210,12 +210,10 @@ class _Judge:
     @staticmethod
     def of(learned: Learned, draws: Array, wheels: tuple[int, ...]) -> _Judge:
         model, physics = learned.model, learned.physics
-        numbers = [wheel.number for wheel in model.spacecraft.wheels]
-        columns = [numbers.index(number) for number in wheels]
         kappa = stretch(model, physics, learned.pulses.coefficients[:, 0])
         arms = arms_of(model, physics) * kappa[:, None, :]
         torque = arms * physics.delivered_n(model)[:, None, :]
-        momentum = wheels_of(model, physics).momentum_per_rpm[:, :, columns]
+        momentum = momentum_per_rpm(model, physics, wheels)
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
         inertia = physics.balance(model).inertia_kg_m2

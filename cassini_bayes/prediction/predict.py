@@ -25,7 +25,13 @@ from cassini_bayes.prediction.ground_knowledge import (
     hydrazine_variance,
 )
 from cassini_bayes.prediction.learning import Learned
-from cassini_bayes.prediction.physics import demand_of, features_of, solver_of, wheels_of
+from cassini_bayes.prediction.physics import (
+    demand_of,
+    features_of,
+    momentum_per_rpm,
+    solver_of,
+    wheel_momentum,
+)
 from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
@@ -132,7 +138,7 @@ def _firings(
     rates = (request.start_rpm, request.end_rpm)
     demand = demand_of(model, physics, learned.manager, request.wheels, rates, duration)
     features = features_of(model, solver, demand, duration)
-    ends = wheels_of(model, physics).of(model, request.wheels, np.stack(rates))
+    ends = wheel_momentum(model, physics, request.wheels, np.stack(rates))
     impulse = demand.sum(1)
     noise = _momentum_noise(learned, request, ends, duration, streams[0])
     if "rates at the ends" not in hold:
@@ -184,7 +190,7 @@ def _momentum_noise(
     attitude = np.asarray(p["hold_attitude_rad"])
     covariance = covariance + hold_attitude_covariance(start, end, attitude)[:, 0]
     prime = np.array([[w.number in request.wheels for w in model.spacecraft.wheels]])
-    per_rpm = wheels_of(model, learned.physics).momentum_per_rpm
+    per_rpm = momentum_per_rpm(model, learned.physics)
     unit = np.full(per_rpm.shape[-1], RPM_PER_RAD_S)
     step = np.asarray(p["wheel_resolution_rpm"])
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]

@@ -114,8 +114,8 @@ def read_sources(
     folders = (Path(name) for name in references if is_event_folder(Path(name)))
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
     files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
-    each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
-    wheels = {number for wheels_of in each for number in wheels_of}
+    wheels = {n for event in printed for n in event.wheels}
+    wheels |= {n for event in recordings for n in event.wheels}
     effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
     pulse_shape = str(model_table.get("pulse_shape", "first_order"))
     delta_v = model_table.get("delta_v", "as-declared")

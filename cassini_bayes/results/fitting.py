@@ -40,6 +40,12 @@ _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one se
 SERIOUS_EXPANSION_ERROR: Final = 0.1  # nats: changes weights of draws by a tenth
 WALKED: Final = "walked"
 """Dimension of the statistics of walked parameters."""
+CONVERGENCE: Final = {
+    "tau_steps": ("tau_steps", "autocorrelation time, steps"),
+    "rhat": ("walked_rhat", "R-hat between independent ensembles"),
+    "ess": ("walked_ess", "effective sample size, the smaller of two estimates"),
+}
+"""Column of the table, variable of the record and meaning of the stop rule's figures."""
 ALL_MET: Final = "all criteria met"
 FALLBACK_INDEPENDENCE: Final = 0.2  # of the moves, where the proposal is poor (judgement)
 
@@ -176,14 +182,10 @@ def fit_model(
 
 def _with_convergence(fit: Fit, names: Sequence[str], convergence: Convergence) -> Fit:
     """The fit with the stop rule's figures of every walked parameter among its statistics."""
-    columns = {
-        "tau_steps": (convergence.autocorrelation_time, "autocorrelation time, steps"),
-        "walked_rhat": (convergence.rhat, "R-hat between independent ensembles"),
-        "walked_ess": (convergence.ess, "effective sample size, the smaller of two estimates"),
-    }
+    each = (convergence.autocorrelation_time, convergence.rhat, convergence.ess)
     variables = {
         name: labelled((WALKED,), values, "1", meaning)
-        for name, (values, meaning) in columns.items()
+        for values, (name, meaning) in zip(each, CONVERGENCE.values(), strict=True)
     }
     stats = fit.groups["sample_stats"].assign(variables).assign_coords({WALKED: list(names)})
     return Fit({**fit.groups, "sample_stats": stats}, fit.attributes)
@@ -246,15 +248,9 @@ def convergence_table(fit: Sampled | Fit) -> pd.DataFrame:
     """
     stats = (fit.fit if isinstance(fit, Sampled) else fit).groups["sample_stats"]
     if WALKED not in stats.coords:
-        return pd.DataFrame({"name": [], "tau_steps": [], "rhat": [], "ess": []})
-    return pd.DataFrame(
-        {
-            "name": stats[WALKED].values.astype(object),
-            "tau_steps": stats["tau_steps"].values,
-            "rhat": stats["walked_rhat"].values,
-            "ess": stats["walked_ess"].values,
-        }
-    )
+        return pd.DataFrame({"name": [], **{column: [] for column in CONVERGENCE}})
+    figures = {column: stats[name].values for column, (name, _) in CONVERGENCE.items()}
+    return pd.DataFrame({"name": stats[WALKED].values.astype(object), **figures})
 
 
 def _stream(seed: int, which: int) -> np.random.Generator:

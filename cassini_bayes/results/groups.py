@@ -168,7 +168,9 @@ def _thrust_variables(
     """Thrusts of the events that fire; nothing where none does."""
     if not model.fires:
         return {}
-    thrusts = draws.thrusts
+    thrusts, steady = draws.thrusts, "steady thrust in the event"
+    level = "thruster's level over all events: common plus individual"
+    delivered = "impulse delivered per second of commanded on-time, tail-off included"
     stretch = np.concatenate([term.stretch for term, *_ in terms], axis=1)
     fired = [event.fires for event in model.events]
     each = ("event", "thruster")
@@ -179,20 +181,10 @@ def _thrust_variables(
         return full
 
     return {
-        "thrust_n": (each, spread(thrusts.thrust_n), "N", "steady thrust in the event"),
-        "thrust_level_n": (
-            ("thruster",),
-            thrusts.level_n,
-            "N",
-            "thruster's level over all events: common plus individual",
-        ),
+        "thrust_n": (each, spread(thrusts.thrust_n), "N", steady),
+        "thrust_level_n": (("thruster",), thrusts.level_n, "N", level),
         "thrust_common_n": ((), thrusts.common_n, "N", "common level of the branch"),
-        "impulse_per_on_time_n": (
-            each,
-            spread(thrusts.thrust_n * stretch),
-            "N",
-            "impulse delivered per second of commanded on-time, tail-off included",
-        ),
+        "impulse_per_on_time_n": (each, spread(thrusts.thrust_n * stretch), "N", delivered),
     }
 
 

@@ -349,12 +349,8 @@ def _advance(
     walkers, d = state.coords.shape
     sampler = _ensemble(log_density, proposal, walkers, d, settings)
     end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-    return (
-        end,
-        sampler.get_chain(),
-        sampler.get_log_prob(),
-        float(sampler.backend.accepted.sum()),
-    )
+    accepted = float(sampler.backend.accepted.sum())
+    return end, sampler.get_chain(), sampler.get_log_prob(), accepted
 
 
 def _pack(

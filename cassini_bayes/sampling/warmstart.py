@@ -33,6 +33,7 @@ WHITENED_STEP: Final = 0.25  # standard deviations
 WHITENED_GRADIENT_STEP: Final = 0.01
 WHITENED_PASSES: Final = 4  # at most: mode and curvature in turn, until they settle
 WHITENED_LEAST_CURVATURE: Final = 1e-2  # a pass may widen a direction tenfold
+PROPOSAL_DOF: Final = 15.0
 SETTLED: Final = 0.1  # of a curvature: widths are then good to a twentieth
 ROUGH, FINE = 2e-9, 1e-13  # L-BFGS, relative to the log density: before and with whitened axes
 
@@ -246,7 +247,7 @@ def warm_start(
     d: int,
     rng: np.random.Generator,
     *,
-    dof: float = 15.0,
+    dof: float = PROPOSAL_DOF,
     pilots: int = 2,
     draws: int = 4_000,
 ) -> WarmStart:

@@ -26,7 +26,7 @@ from cassini_bayes.files.as_arrays import arrays_of
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import LogDensity, WarmStart, warm_start
+from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.sweep.models import ModelFactory, SweepModel, values_of
 from cassini_bayes.sweep.variations import Variation
 from cassini_bayes.sweep.weights import (
@@ -101,7 +101,18 @@ def cell_arrays(
         The changed priors are so extreme that the model cannot be computed.
     """
     try:
-        return _cell_arrays(baseline, variation, refit)
+        model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
+        weights, values = reweighted(baseline, variation, model)
+        change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
+        result = _arrays("0", REWEIGHTED, weights, values, change)
+        if refit == "always" or (refit == "auto" and not weights.trusted):
+            rng = baseline.stream(variation.key)
+            kind, weights, values, batches = refitted(model, baseline.names, rng)
+            change = change_between(
+                baseline.values, baseline.batches, values, weights.values, batches
+            )
+            result |= _arrays("1", kind, weights, values, change)
+        return result
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"sweep: {variation.group}, {variation.label}",
@@ -109,21 +120,6 @@ def cell_arrays(
             str(error),
             "leave this change out of the grid, or make it milder",
         ) from error
-
-
-def _cell_arrays(
-    baseline: Baseline, variation: Variation, refit: Refit
-) -> dict[str, NDArray[np.generic]]:
-    model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
-    weights, values = reweighted(baseline, variation, model)
-    change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
-    result = _arrays("0", REWEIGHTED, weights, values, change)
-    if refit == "always" or (refit == "auto" and not weights.trusted):
-        rng = baseline.stream(variation.key)
-        kind, weights, values, batches = refitted(model, baseline.names, rng)
-        change = change_between(baseline.values, baseline.batches, values, weights.values, batches)
-        result |= _arrays("1", kind, weights, values, change)
-    return result
 
 
 def _arrays(
@@ -187,16 +183,6 @@ def refitted(
     weights = smoothed_weights(warm.draws.log_weights)
     if weights.trusted:
         return REFITTED, weights, values_of(model.quantities(warm.draws.z, rng), names), None
-    return _by_chain(model, log_density, warm, names, rng)
-
-
-def _by_chain(
-    model: SweepModel,
-    log_density: LogDensity,
-    warm: WarmStart,
-    names: tuple[str, ...],
-    rng: np.random.Generator,
-) -> tuple[str, Weights, Array, NDArray[np.int64]]:
     settings = SamplerSettings(target_ess=CHAIN_ESS, seed=int(rng.integers(2**31)))
     chains = sample(log_density, warm.proposal, settings)
     z, _ = chains.thinned(REFIT_DRAWS // settings.ensembles)

@@ -96,24 +96,21 @@ def _effect(
 ) -> WidthEffect:
     n, even = len(values), equal_weights(len(values)).values
     result = [_weights(priors, group, draws, n, width) for width in WIDTHS]
-    told = np.array([_in_support(weights) for weights in result])[:, None]
-    every = [
-        moments(values, weights.values if _in_support(weights) else even, order)
-        for weights in result
-    ]
-
-    def stacked(rows: Sequence[Array]) -> Array:
-        return np.where(told, np.stack(rows), np.nan)
-
+    told = np.array([_in_support(weights) for weights in result])[:, None, None]
+    figures = []
+    for weights in result:
+        own = moments(values, weights.values if _in_support(weights) else even, order)
+        figures.append((own.mean, own.sd, own.quantiles[LOW], own.quantiles[HIGH]))
+    mean, sd, low, high = np.moveaxis(np.where(told, np.array(figures), np.nan), 1, 0)
     return WidthEffect(
         group,
         pareto_k=np.array([weights.pareto_k for weights in result]),
         effective=np.array([weights.effective for weights in result]),
         trusted=np.array([weights.trusted for weights in result]),
-        mean=stacked([moments_of.mean for moments_of in every]),
-        sd=stacked([moments_of.sd for moments_of in every]),
-        low=stacked([moments_of.quantiles[LOW] for moments_of in every]),
-        high=stacked([moments_of.quantiles[HIGH] for moments_of in every]),
+        mean=mean,
+        sd=sd,
+        low=low,
+        high=high,
     )
 
 

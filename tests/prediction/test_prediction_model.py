@@ -27,7 +27,7 @@ from cassini_bayes.prediction.firing import (
 )
 from cassini_bayes.prediction.ground_software import ideal_on_times, specific_impulse_s
 from cassini_bayes.prediction.learning import joint_draws
-from cassini_bayes.prediction.physics import arms_of, wheels_of
+from cassini_bayes.prediction.physics import arms_of, wheel_momentum
 from cassini_bayes.prediction.predict import SOURCES, Prediction, predict
 from cassini_bayes.prediction.regressions import conditional, regress
 from cassini_bayes.prediction.requests import parse_bias, request_of
@@ -335,7 +335,7 @@ def test_predicted_on_times_balance_the_momentum() -> None:
     force = (drawn.level_n + moved) * effective
     impulse = (arms_of(model(), drawn) @ force[..., None])[..., 0]
     change = (event.rwa_end_rpm - event.rwa_start_rpm)[None]
-    wanted = wheels_of(model(), drawn).of(model(), event.wheels, change)[:, 0]
+    wanted = wheel_momentum(model(), drawn, event.wheels, change)[:, 0]
     np.testing.assert_allclose(impulse, wanted, atol=1e-6)
 
 

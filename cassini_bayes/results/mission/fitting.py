@@ -36,6 +36,7 @@ from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
+    PROPOSAL_DOF,
     TRUSTED_K,
     ImportanceDraws,
     LogDensity,
@@ -53,7 +54,6 @@ PASSES: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
-_DOF: Final = 15.0  # of the proposal, as in a warm start
 
 StoreOf = Callable[[str], CheckpointStore | None]
 References = Mapping[str, Hypothesis]
@@ -309,7 +309,7 @@ def _importance(
             break
         if look == 0 and result.efficiency * n < LEAST_DRAWS / 4:
             mode = find_mode(density, proposal.location)
-            proposal = Proposal(*laplace(density, mode), _DOF)
+            proposal = Proposal(*laplace(density, mode), PROPOSAL_DOF)
         else:
             proposal = refined(proposal, result)
         result = importance(density, proposal, rng, n)
@@ -361,7 +361,7 @@ def embedded(
 
 
 def _prior_proposal(d: int) -> Proposal:
-    return Proposal(np.zeros(d), np.eye(d), _DOF)
+    return Proposal(np.zeros(d), np.eye(d), PROPOSAL_DOF)
 
 
 def moments(found: ImportanceDraws) -> Proposal:
