@@ -36,10 +36,6 @@ class ToyModel:
     def collapsed(self) -> tuple[str, ...]:
         return ()
 
-    @property
-    def walkable(self) -> tuple[str, ...]:
-        return ()
-
     def log_likelihood(self, z: Array) -> Array:
         values = self.space.to_parameters(z)
         residual = TOY_DATUM - values["cm_x_m"] - values["cm_y_m"]

@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.errors import CassiniBayesError
 
@@ -40,28 +40,19 @@ class _OtherFailedError(Exception):
 def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     """The log density with batches (n, d) cut into parts of :data:`PART` points, on threads."""
     if threads < 2:
-        yield lambda z: _joined([log_density(part) for part in _parts(z)])
+        yield lambda z: joined([log_density(part) for part in _parts(z)])
         return
     with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
-        yield lambda z: _joined(list(pool.map(log_density, _parts(z))))
+        yield lambda z: joined(list(pool.map(log_density, _parts(z))))
 
 
 def in_processes(
     function: Callable[[Item], Result],
     items: Iterable[Item],
     processes: int,
-    done: Callable[[int], None] | None = None,
-    meanwhile: Callable[[], object] | None = None,
 ) -> list[Result]:
-    """Results of independent pieces of work, in their order; see :func:`as_finished`.
-
-    ``done`` is told how many are there.
-    """
-    results: dict[int, Result] = {}
-    for place, result in as_finished(function, items, processes, meanwhile):
-        results[place] = result
-        if done is not None:
-            done(len(results))
+    """Results of independent pieces of work, in their order; see :func:`as_finished`."""
+    results = dict(as_finished(function, items, processes))
     return [results[place] for place in sorted(results)]
 
 
@@ -147,10 +138,6 @@ def _inherited(place: int) -> Any:
 
 def _parts(z: Array) -> list[Array]:
     return np.array_split(z, max(1, -(-len(z) // PART)))
-
-
-def _joined(parts: Sequence[Array]) -> Array:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 class LockStep:

@@ -11,7 +11,7 @@ from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, o
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
 from cassini_bayes.effects.tables import ParameterTable, Table
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, known_parameters
 
@@ -43,12 +43,8 @@ class Catalogue:
         InputError
             There is none.
         """
-        for effect in self.effects:
-            if effect.name == name:
-                return effect
-        raise InputError(
-            f"effect {name}", "an effect of these events", repr(name), nearest(name, self.names)
-        )
+        check_known(f"effect {name}", name, self.names, "an effect of these events")
+        return self.effects[self.names.index(name)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,16 +139,12 @@ def named_effects(
             )
         onset = _onset(given, event, order, where) if "@" in given else None
         chosen.append(replace(effect.as_fitted(), onset=onset))
-    taken = set(known_parameters(priors.spacecraft))
+    taken = list(known_parameters(priors.spacecraft))
     for spec in (spec for effect in chosen for spec in effect.specs):
         if spec.name in taken:
-            raise InputError(
-                where,
-                "parameters of names of their own",
-                f"{spec.name!r} twice",
-                "rename the effect",
-            )
-        taken.add(spec.name)
+            expected = "parameters of names of their own"
+            raise InputError(where, expected, f"{spec.name!r} twice", "rename the effect")
+        taken.append(spec.name)
     return tuple(chosen)
 
 
@@ -241,12 +233,8 @@ def _parameter(
     prior = priors.parameters.get(key)
     known = known_parameters(priors.spacecraft)
     if row.is_departure and key not in known:
-        raise InputError(
-            str(row.where),
-            f"a departure from a parameter of {priors.spacecraft.name}",
-            repr(key),
-            nearest(key, known),
-        )
+        expected = f"a departure from a parameter of {priors.spacecraft.name}"
+        check_known(str(row.where), key, known, expected)
     distribution = row.prior
     if not isinstance(distribution, Distribution):
         if prior is None or prior.distribution is None:
@@ -269,8 +257,7 @@ def _parameter(
 
 
 def _size(where: str, key: str, sizes: Sequence[str]) -> str:
-    if key not in sizes:
-        raise InputError(where, "a size of the effect", repr(key), nearest(key, sizes))
+    check_known(where, key, sizes, "a size of the effect")
     return key
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
-from cassini_bayes.effects.changes import unit_vector
+from cassini_bayes.effects.changes import unit_vector, with_more
 from cassini_bayes.effects.effect import Kind, Setting, Values
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 from cassini_bayes.spacecraft import thruster_directions
 
 
@@ -21,13 +20,11 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     directions = thruster_directions(setting.spacecraft, setting.branch)
     turned = np.cross(unit_vector(setting.target), directions.T).T  # (3, K)
     (shift,) = values.values()
-    return replace(physics, arms_m=physics.arms_m - shift[..., None, None] * turned)
+    return with_more(physics, arms_m=-shift[..., None, None] * turned)
 
 
-def says(sizes: Sizes, target: str) -> str:
-    """In millimetres."""
-    (place,) = sizes.values()
-    return f"the centre of mass lies at {target} = {place.said('mm', 1e3)}"
-
-
-KIND: Final = Kind("center_of_mass", change, says=says)
+KIND: Final = Kind(
+    "center_of_mass",
+    change,
+    says=Clause("the centre of mass lies at {target} = {0}", (("mm", 1e3),)),
+)

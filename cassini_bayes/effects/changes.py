@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.effect import Setting, Values
+from cassini_bayes.spacecraft import wheel_axes
 
 AXES: Final = ("x", "y", "z")
 
@@ -28,20 +30,22 @@ def with_thrust_factor(physics: Physics, change: Array) -> Physics:
     return replace(physics, thrust_factor=whole * change)
 
 
-def with_steady_torque(physics: Physics, torque_n_m: Array) -> Physics:
-    """A steady torque (n, 3) in body axes more."""
-    return replace(physics, steady_torque_n_m=np.asarray(physics.steady_torque_n_m) + torque_n_m)
+def with_more(physics: Physics, **added: Array) -> Physics:
+    """Quantities of the physics, by name, with something added to each."""
+    sums: dict[str, Any] = {
+        name: np.asarray(getattr(physics, name)) + more for name, more in added.items()
+    }
+    return replace(physics, **sums)
+
+
+def with_moved_axes(
+    physics: Physics, parameters: Parameters, values: Values, setting: Setting
+) -> Physics:
+    """Wheel axes where the baseline's tilts and angles and the departures together put them."""
+    moved = {name: np.asarray(parameters[name]) + value for name, value in values.items()}
+    return replace(physics, wheel_axes=wheel_axes(setting.spacecraft, {**parameters, **moved}))
 
 
 def with_columns(physics: Physics, weights: Mapping[str, Array]) -> Physics:
     """Weights of further columns of telemetry, by name."""
     return replace(physics, extra={**physics.extra, **weights})
-
-
-def with_rate_errors(physics: Physics, bias_rad_s: Array, scale: Array) -> Physics:
-    """Bias (n, 3) and scale (n, 3) of measured rates more."""
-    return replace(
-        physics,
-        rate_bias_rad_s=np.asarray(physics.rate_bias_rad_s) + bias_rad_s,
-        rate_scale=np.asarray(physics.rate_scale) + scale,
-    )

@@ -16,7 +16,7 @@ import numpy as np
 
 from cassini_bayes.effects.controller import Controller, Fired
 from cassini_bayes.effects.effect import Kind, Values, unchanged
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 LEAST_COMMON_S: Final = 1e-6
 """On-time of the common thruster below which nothing is shared: a division by zero otherwise."""
@@ -38,12 +38,12 @@ def fire(controller: Controller, values: Values) -> Fired:
     )
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """In per cent of the demand."""
-    return (
-        f"thrusters fire in pairs for {sizes['pairing_share'].said('%', 100.0)} of the demand, "
-        "where the prediction has single ones"
-    )
-
-
-KIND: Final = Kind("firing_logic", unchanged, fire=fire, says=says)
+KIND: Final = Kind(
+    "firing_logic",
+    unchanged,
+    fire=fire,
+    says=Clause(
+        "thrusters fire in pairs for {0} of the demand, where the prediction has single ones",
+        (("%", 100.0),),
+    ),
+)

@@ -40,7 +40,7 @@ from cassini_bayes.effects.appendage import (
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import Firings
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 from cassini_bayes.priors.distributions import Distribution
 
 SERIES: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
@@ -306,8 +306,8 @@ def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillat
         for samples, rates in zip(remainder.samples, balanced, strict=True)
     ]
     linear, rows = remainder.with_turns()
-    amplitude, share = (priors[key].scale for key in ("cosine_rad_s", "inertia_fraction"))
-    line = find_oscillation(rows, [*motions, *motions], linear, inertia, (amplitude, share))
+    scales = priors["cosine_rad_s"].scale, priors["inertia_fraction"].scale
+    line = find_oscillation(rows, [*motions, *motions], linear, inertia, scales)
     if line is None:
         return None
     measured = 1.0 - float(np.mean([rates.known for rates in balanced]))
@@ -567,15 +567,6 @@ def _fine(
     return gram - across.T @ cho_solve(factor, across), projection
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """Share in per cent, frequency in hertz, amplitude in µrad/s."""
-    return (
-        f"an appendage with {sizes['inertia_fraction'].said('%', 100.0)} of the inertia swings at "
-        f"{sizes['frequency_hz'].said('Hz')}, damping {sizes['damping'].said()}, and moves the "
-        f"body by {sizes['amplitude_rad_s'].said('µrad/s', 1e6)}"
-    )
-
-
 KIND: Final = Kind(
     "flexible_mode",
     change,
@@ -584,5 +575,9 @@ KIND: Final = Kind(
     report=report,
     drawn=drawn,
     left_open=left_open,
-    says=says,
+    says=Clause(
+        "an appendage with {0} of the inertia swings at {1}, damping {2}, and moves the body by "
+        "{3}",
+        (("%", 100.0), ("Hz", 1.0), (None, 1.0), ("µrad/s", 1e6)),
+    ),
 )

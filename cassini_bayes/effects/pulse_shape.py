@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
+from cassini_bayes.effects.changes import with_more
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.printed import Printed
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 OFFSET_SD_S: Final = 0.04
 """Of an on-time per pulse, as the catalogue's table has it (ten times what closed forms differ)."""
@@ -22,7 +23,7 @@ def change(physics: Physics, _: Parameters, values: Values, __: Setting) -> Phys
     offset = values["impulse_time_offset_s"]
     size = physics.arms_m.shape[-1]
     shift = np.broadcast_to(offset[..., None], (*offset.shape, size))
-    return replace(physics, impulse_offset_s=np.asarray(physics.impulse_offset_s) + shift)
+    return with_more(physics, impulse_offset_s=shift)
 
 
 def change_in_rows(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
@@ -44,12 +45,10 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     return {KIND.name: replace(printed, offset_sd_s=OFFSET_SD_S * width)}
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """In milliseconds of full thrust."""
-    return (
-        f"every pulse gives {sizes['impulse_time_offset_s'].said('ms', 1e3)} of full thrust more "
-        "than its closed form"
-    )
-
-
-KIND: Final = Kind("pulse_shape", change, change_in_rows=change_in_rows, doubt=doubt, says=says)
+KIND: Final = Kind(
+    "pulse_shape",
+    change,
+    change_in_rows=change_in_rows,
+    doubt=doubt,
+    says=Clause("every pulse gives {0} of full thrust more than its closed form", (("ms", 1e3),)),
+)

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-
 from cassini_bayes.balance.physics import Parameters, Physics
-from cassini_bayes.effects.changes import unit_vector, with_rate_errors
+from cassini_bayes.effects.changes import unit_vector, with_more
 from cassini_bayes.effects.effect import Kind, Setting, Values
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
     """Measured rates with the bias about the target's axis."""
     (bias,) = values.values()
-    about = bias[..., None] * unit_vector(setting.target)
-    return with_rate_errors(physics, about, np.zeros_like(about))
+    return with_more(physics, rate_bias_rad_s=bias[..., None] * unit_vector(setting.target))
 
 
-def says(sizes: Sizes, target: str) -> str:
-    """In µrad/s."""
-    (bias,) = sizes.values()
-    return f"the gyro reads {bias.said('µrad/s', 1e6)} too much about {target.upper()}"
-
-
-KIND: Final = Kind("rate_bias", change, says=says)
+KIND: Final = Kind(
+    "rate_bias",
+    change,
+    says=Clause("the gyro reads {0} too much about {TARGET}", (("µrad/s", 1e6),)),
+)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import finite_number, nearest
+from cassini_bayes.files.checks import check_known, finite_number, nearest
 from cassini_bayes.priors.distributions import Distribution
 
 TARGETS: Final = (
@@ -196,10 +196,8 @@ def _check_unit(where: Place, unit: str) -> None:
 
 
 def _check_one_of(where: Place, value: object, known: Collection[str]) -> None:
-    if value not in known:
-        raise InputError(
-            str(where), f"one of {', '.join(known)}", repr(value), nearest(str(value), known)
-        )
+    if value not in known:  # the line of a place is looked for only then
+        check_known(str(where), value, known)
 
 
 def check_keys(table: object, known: Collection[str], where: Place) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.printed import FACTOR, Printed
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 LEAST_TAU_S: Final = 1e-3
 """A tail shorter than that is none: keeps exp(−t/τ) finite, as no pulse is so well known."""
@@ -34,16 +34,11 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     return {KIND.name: replace(printed, fall_sd_s=sd)}
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """In milliseconds."""
-    return f"thrust tails off with a time constant of {sizes['tau_fall_s'].said('ms', 1e3)}"
-
-
 KIND: Final = Kind(
     "tail_off",
     change,
     doubt=doubt,
-    says=says,
+    says=Clause("thrust tails off with a time constant of {0}", (("ms", 1e3),)),
     separation={
         "pulse_shape": "pulses of different widths: only there do a tail-off and an offset per "
         "pulse differ",

@@ -10,7 +10,7 @@ from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import with_thrust_factor
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.printed import FACTOR, Printed
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 LEAST_SD: Final = 0.02
 """Fraction: judgement, the least that a doubted thrust departs by where it is said to be exact."""
@@ -27,19 +27,14 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     return {KIND.name: replace(printed, thrust_sd=sd)}
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """In per cent of the prediction."""
-    return (
-        f"all thrusters deliver {sizes['thrust_factor'].said('%', 100.0)} of the thrust that the "
-        "propulsion model predicts"
-    )
-
-
 KIND: Final = Kind(
     "thrust_scale",
     change,
     doubt=doubt,
-    says=says,
+    says=Clause(
+        "all thrusters deliver {0} of the thrust that the propulsion model predicts",
+        (("%", 100.0),),
+    ),
     separation={
         "tail_off": "a long firing (delta-V) beside short pulses: thrust counts seconds, tails "
         "count pulses",

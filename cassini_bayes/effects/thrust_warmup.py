@@ -18,7 +18,7 @@ from cassini_bayes.balance.statistics import ExtraColumn, RowContext
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import Kind, Setting, Values
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 NODES_S: Final = (0.5, 1.4, 4.0, 11.0, 32.0)
 """Time constants that have columns, even in the logarithm between the bounds of the prior."""
@@ -91,12 +91,12 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return with_columns(physics, weights)
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """The deficit in per cent, the time constant in seconds of firing."""
-    return (
-        f"every thruster starts cold, {sizes['warmup_deficit'].said('%', 100.0)} too weak, and "
-        f"warms up within {sizes['warmup_time_s'].said('s')} of its own firing"
-    )
-
-
-KIND: Final = Kind("thrust_warmup", change, columns=columns, says=says)
+KIND: Final = Kind(
+    "thrust_warmup",
+    change,
+    columns=columns,
+    says=Clause(
+        "every thruster starts cold, {0} too weak, and warms up within {1} of its own firing",
+        (("%", 100.0), ("s", 1.0)),
+    ),
+)

@@ -12,7 +12,7 @@ from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import with_thrust_factor
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.printed import Printed
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 
 DEFICIT_SD: Final = 0.2
 """Share that a thruster may lack, as the catalogue's table has it (paper 003: Z3A lost 23 %)."""
@@ -34,16 +34,11 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     }
 
 
-def says(sizes: Sizes, target: str) -> str:
-    """In per cent of the common level."""
-    return f"{target.upper()} delivers {sizes['thrust_factor'].said('%', 100.0)} of its thrust"
-
-
 KIND: Final = Kind(
     "thruster_degraded",
     change,
     doubt=doubt,
-    says=says,
+    says=Clause("{TARGET} delivers {0} of its thrust", (("%", 100.0),)),
     separation={
         "thruster_misalignment": "an accelerometer or Doppler velocity change: a weaker thruster "
         "pushes less, a canted one pushes elsewhere",

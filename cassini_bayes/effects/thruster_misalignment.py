@@ -13,7 +13,7 @@ import numpy as np
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.effects.changes import unit_vector
 from cassini_bayes.effects.effect import Kind, Setting, Values
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 from cassini_bayes.spacecraft import centre_of_mass, thruster_directions, thruster_positions
 
 
@@ -40,13 +40,11 @@ def change(physics: Physics, parameters: Parameters, values: Values, setting: Se
     return replace(physics, arms_m=arms)
 
 
-def says(sizes: Sizes, target: str) -> str:
-    """In degrees towards both axes across."""
-    degrees = 180.0 / np.pi
-    return (
-        f"{target.upper()} is canted by {sizes['cant_a_rad'].said('°', degrees)} towards X and "
-        f"{sizes['cant_b_rad'].said('°', degrees)} towards the other axis across its thrust"
-    )
-
-
-KIND: Final = Kind("thruster_misalignment", change, says=says)
+KIND: Final = Kind(
+    "thruster_misalignment",
+    change,
+    says=Clause(
+        "{TARGET} is canted by {0} towards X and {1} towards the other axis across its thrust",
+        2 * (("°", 180.0 / np.pi),),
+    ),
+)

@@ -18,7 +18,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Setting, Values
 from cassini_bayes.effects.firings import TAIL_S, Firings
-from cassini_bayes.effects.wording import Sizes
+from cassini_bayes.effects.wording import Clause
 from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 OFFSETS_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
@@ -95,11 +95,6 @@ def left_open(
     return late_firings(firings, rows.time_s, float(values["time_offset_s"][0]))
 
 
-def says(sizes: Sizes, _: str) -> str:
-    """In milliseconds, positive: late."""
-    return f"thruster records are late by {sizes['time_offset_s'].said('ms', 1e3)}"
-
-
 # Pulses start with control cycles, and rows with a pulse under way do not enter the balance: those
 # that do cannot tell records late by τ from records late by the whole cycles in τ. Where rows have
 # late pulses, these are late by some 0.05 to 0.1 s on average themselves, as far as a controller
@@ -110,6 +105,6 @@ KIND: Final = Kind(
     columns=columns,
     left_open=left_open,
     known_to={"time_offset_s": CONTROL_CYCLE_S},
-    says=says,
+    says=Clause("thruster records are late by {0}", (("ms", 1e3),)),
     needs_quiet_rows=True,
 )

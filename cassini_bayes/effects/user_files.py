@@ -45,6 +45,15 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "simulate": ("plan", "target", "values"),
 }
 
+RESULTS: Final[Mapping[str, type]] = {
+    **dict.fromkeys(("change", "change_in_rows"), Physics),
+    **dict.fromkeys(("report", "doubt"), dict),
+    "columns": tuple,
+    "fire": Fired,
+    "says": str,
+}
+"""Types of what functions return; that of a simulation is its argument's."""
+
 
 class _Source(SourceFileLoader):
     """Runs a file as it is now: no bytecode of an earlier edit, and none left beside it."""
@@ -102,38 +111,33 @@ def load_kind(path: Path) -> Kind:
         )
     _check_figures(path, kind)
     hooks: dict[str, Any] = {
-        name: guarded(path, name, hook)
+        name: guarded(path, name, hook, kind.reported)
         for name in ARGUMENTS
         if (hook := getattr(kind, name, None)) is not None
     }
-    if kind.report is not None:
-        hooks["report"] = _reporting(_hook_line(path, kind.report), hooks["report"], kind.reported)
     return replace(kind, **hooks)
 
 
 def _check_figures(path: Path, kind: Kind) -> None:
     """What of a kind is no function."""
-    given: Any = kind  # a user may have given anything
-    forms: Mapping[str, tuple[str, bool]] = {
-        "reported": (
-            "a tuple of texts",
-            isinstance(given.reported, tuple) and all(isinstance(k, str) for k in given.reported),
-        ),
-        "known_to": (
-            "steps by size",
-            isinstance(given.known_to, Mapping)
-            and all(isinstance(v, int | float) and v >= 0 for v in given.known_to.values()),
-        ),
-        "separation": (
-            "texts by kind",
-            isinstance(given.separation, Mapping)
-            and all(isinstance(v, str) for v in given.separation.values()),
-        ),
-    }
-    for name, (expected, holds) in forms.items():
-        if not holds:
+    for name, expected, form, holds in (
+        ("reported", "a tuple of texts", tuple, _is_text),
+        ("known_to", "steps by size", Mapping, _is_step),
+        ("separation", "texts by kind", Mapping, _is_text),
+    ):
+        given: Any = getattr(kind, name)  # a user may have given anything
+        values = given.values() if isinstance(given, Mapping) else given
+        if not isinstance(given, form) or not all(map(holds, values)):
             where = f"{_kind_line(path)}: KIND.{name}"
-            raise InputError(where, expected, repr(getattr(kind, name)), "write such")
+            raise InputError(where, expected, repr(given), "write such")
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_step(value: object) -> bool:
+    return isinstance(value, int | float) and value >= 0
 
 
 def _kind_line(path: Path) -> str:
@@ -149,27 +153,10 @@ def _hook_line(path: Path, hook: Any) -> str:
     return str(path) if code is None else f"{path}, line {code.co_firstlineno}"
 
 
-def _reporting(
-    where: str, report: Callable[..., Any], sizes: tuple[str, ...]
-) -> Callable[..., Any]:
-    """A report that has to give the sizes that the kind says it reports."""
-
-    def call(*given: Any) -> Any:
-        result = report(*given)
-        if set(result) != set(sizes):
-            raise InputError(
-                f"{where}: report",
-                f"the sizes that KIND.reported names, {sorted(sizes)}",
-                str(sorted(result)),
-                "return these",
-            )
-        return result
-
-    return call
-
-
-def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
+def guarded(path: Path, name: str, hook: Any, reported: tuple[str, ...] = ()) -> Callable[..., Any]:
     """A function of a user's file, whose faults are one line, and whose result is checked.
+
+    A report has to give the sizes that its kind says are ``reported``.
 
     Raises
     ------
@@ -191,7 +178,12 @@ def guarded(path: Path, name: str, hook: Any) -> Callable[..., Any]:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
             raise _fault(path, f"{wanted} that returns", error) from None
-        return _checked(path, f"{_hook_line(path, hook)}: {name}", name, result, given)
+        where = f"{_hook_line(path, hook)}: {name}"
+        result = _checked(path, where, name, result, given)
+        if name == "report" and set(result) != set(reported):
+            expected = f"the sizes that KIND.reported names, {sorted(reported)}"
+            raise InputError(where, expected, str(sorted(result)), "return these")
+        return result
 
     return call
 
@@ -209,30 +201,24 @@ def _fault(path: Path, expected: str, error: BaseException) -> InputError:
 
 def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, ...]) -> Any:
     """A result of the form that it has to have."""
-    if name in ("change", "change_in_rows"):
-        _check_type(where, result, Physics)
+    wanted = type(given[0]) if name == "simulate" else RESULTS.get(name)
+    if wanted is not None:
+        _check_type(where, result, wanted)
+    if wanted is Physics:
         _check_physics(where, result, given[0], given[2])
     elif name == "columns":
-        _check_type(where, result, tuple)
         return tuple(_checked_column(path, where, column, given[0]) for column in result)
     elif name == "search":
         return None if result is None else _checked_search(path, where, result)
     elif name == "left_open":
         columns, variances = _pair(where, result)
         _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))
-    elif name == "simulate":
-        _check_type(where, result, type(given[0]))
-    elif name == "fire":
-        _check_type(where, result, Fired)
-    elif name == "says":
-        _check_type(where, result, str)
-    elif name in ("report", "doubt"):
-        _check_type(where, result, dict)
+    elif name == "report":
         for key, value in result.items():
-            if name == "doubt":
-                _check_type(f"{where}: {key}", value, Printed)
-            else:
-                _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+            _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+    elif name == "doubt":
+        for key, value in result.items():
+            _check_type(f"{where}: {key}", value, Printed)
     return result
 
 

@@ -8,21 +8,14 @@ from __future__ import annotations
 
 from typing import Final
 
+from cassini_bayes.effects.changes import with_moved_axes
 from cassini_bayes.effects.effect import Kind
-from cassini_bayes.effects.wheel_axes import with_moved_axes
-from cassini_bayes.effects.wording import Sizes
-
-
-def says(sizes: Sizes, target: str) -> str:
-    """In milliradians."""
-    (angle,) = sizes.values()
-    return f"the platform of wheel {target} stands {angle.said('mrad', 1e3)} from where it should"
-
+from cassini_bayes.effects.wording import Clause
 
 KIND: Final = Kind(
     "wheel_articulation",
     with_moved_axes,
-    says=says,
+    says=Clause("the platform of wheel {target} stands {0} from where it should", (("mrad", 1e3),)),
     separation={
         "wheel_alignment": "events at another angle of the platform: the wheel's alignment on it "
         "stays, an error of one angle does not; at one angle only priors tell",

@@ -105,6 +105,25 @@ class Worded(Protocol):
 Sizes = Mapping[str, Worded]
 
 
+@dataclass(frozen=True)
+class Clause:
+    """Words of a kind: what its sizes on a target mean.
+
+    In the text ``{0}``, ``{1}`` … are the sizes in the order of the table, or as they are reported,
+    ``{target}`` is the target and ``{TARGET}`` the same in capitals. ``units`` are those that the
+    sizes are said in (None: as the table has it), with factors from the table's; sizes beyond them
+    are not said.
+    """
+
+    text: str
+    units: tuple[tuple[str | None, float], ...]
+
+    def __call__(self, sizes: Sizes, target: str) -> str:
+        """The clause, without a full stop."""
+        said = [size.said(*unit) for size, unit in zip(sizes.values(), self.units, strict=False)]
+        return self.text.format(*said, target=target, TARGET=target.upper())
+
+
 def by_keys(name: str, sizes: Sizes) -> str:
     """An effect without words of its own: its name, keys and units."""
     said = ", ".join(f"{key} = {size.said()}" for key, size in sizes.items())

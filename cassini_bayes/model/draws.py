@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cassini_bayes.balance.computed_delta_v import event_channel_log_likelihood
 from cassini_bayes.balance.physics import Parameters, delta_v_variance
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, joined, picked
 from cassini_bayes.model.posterior import Collapsed, Model, collapse, thrust_factor
-from cassini_bayes.model.terms import TORQUE, TermDraws
+from cassini_bayes.model.terms import TORQUE, Points, TermAt, TermDraws
 from cassini_bayes.model.thrusts import ThrustDraws, draw_thrusts, prior_thrusts
+
+DrawnTerm = tuple[TermAt, Array, TermDraws]
+"""A term at some points, its thrusts there, and what it has of its own."""
 
 
 @dataclass(frozen=True)
@@ -37,53 +40,27 @@ class Draws:
         """Steady external torque (n, E, 3) of all events."""
         return np.concatenate([part[TORQUE] for part in self.integrated], axis=1)
 
-    def at(self, places: Places | slice) -> Draws:
-        """Some of the draws, by their places among the n."""
-        thrusts = self.thrusts
-        return Draws(
-            {
-                name: values[places] if isinstance(values, np.ndarray) else values
-                for name, values in self.parameters.items()
-            },
-            ThrustDraws(
-                thrusts.thrust_n[places],
-                thrusts.common_n[places],
-                thrusts.level_n[places],
-                np.asarray(thrusts.factor)[places] if np.ndim(thrusts.factor) else 1.0,
-            ),
-            tuple(
-                {name: values[places] for name, values in part.items()} for part in self.integrated
-            ),
-        )
-
 
 def draw(model: Model, z: Array, rng: np.random.Generator) -> Draws:
     """Draw all that is integrated out from its exact conditional at z (n, d)."""
     parts = [_drawn(model, collapse(model, z[rows]), rng) for rows in model.batches(len(z))]
-    thrusts, integrated = zip(*parts, strict=True)
-    return Draws(
-        model.space.to_parameters(z),
-        ThrustDraws(
-            np.concatenate([part.thrust_n for part in thrusts]),
-            np.concatenate([part.common_n for part in thrusts]),
-            np.concatenate([part.level_n for part in thrusts]),
-            np.concatenate([np.asarray(part.factor) for part in thrusts]),
-        ),
-        tuple(_joined(batches) for batches in zip(*integrated, strict=True)),
-    )
+    return Draws(model.space.to_parameters(z), *joined(parts))
 
 
 def _drawn(
     model: Model, collapsed: Collapsed, rng: np.random.Generator
-) -> tuple[ThrustDraws, list[TermDraws]]:
+) -> tuple[ThrustDraws, tuple[TermDraws, ...]]:
     """Thrusts, then every term's own unknowns given its thrusts."""
     thrusts = draw_thrusts(model.thrust_prior, collapsed.thrusts, rng)
-    pairs = zip(collapsed.terms, model.fired_of_term, strict=True)
-    return thrusts, [term.draw(thrusts.thrust_n[:, fired], rng) for term, fired in pairs]
+    return thrusts, draw_own(model, collapsed.terms, thrusts.thrust_n, rng)
 
 
-def _joined(batches: Sequence[Mapping[str, Array]]) -> TermDraws:
-    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
+def draw_own(
+    model: Model, terms: Sequence[TermAt], thrust_n: Array, rng: np.random.Generator
+) -> tuple[TermDraws, ...]:
+    """Every term's own unknowns given the thrusts (n, E', K) of all events that fire."""
+    pairs = zip(terms, model.fired_of_term, strict=True)
+    return tuple(term.draw(thrust_n[:, fired], rng) for term, fired in pairs)
 
 
 def draw_prior(model: Model, n: int, rng: np.random.Generator) -> Draws:
@@ -92,31 +69,37 @@ def draw_prior(model: Model, n: int, rng: np.random.Generator) -> Draws:
     shape = (n, len(model.fired_ids))
     factor = thrust_factor(model, model.points_at(parameters, n))
     thrusts = prior_thrusts(model.thrust_prior, parameters, shape, rng, factor)
+    return Draws(parameters, thrusts, draw_own_prior(model, n, rng))
+
+
+def draw_own_prior(model: Model, n: int, rng: np.random.Generator) -> tuple[TermDraws, ...]:
+    """Every term's own unknowns, n times from their priors."""
     normals = rng.standard_normal((n, len(model.event_ids), 3))
     torque = model.torque_mean_n_m + model.torque_sd_n_m * normals
-    integrated = tuple(
-        term.draw_prior(torque[:, events], rng)
-        for term, events in zip(model.terms, model.events_of_term, strict=True)
-    )
-    return Draws(parameters, thrusts, integrated)
+    pairs = zip(model.terms, model.events_of_term, strict=True)
+    return tuple(term.draw_prior(torque[:, events], rng) for term, events in pairs)
+
+
+def drawn_terms(model: Model, points: Points, draws: Draws) -> list[DrawnTerm]:
+    """Every term at the points of draws, with its thrusts and what it has of its own there."""
+    each = zip(model.terms, model.fired_of_term, draws.integrated, strict=True)
+    thrust_n = draws.thrusts.thrust_n
+    return [(term.at(points), thrust_n[:, fired], own) for term, fired, own in each]
 
 
 def event_log_density(model: Model, z: Array, draws: Draws) -> Array:
     """Log density (n, E) of each event's data given everything, its thrusts and torque included."""
-    result = []
-    for rows in model.batches(len(z)):
-        points, some = model.points(z[rows]), draws.at(rows)
-        parts = zip(model.terms, model.fired_of_term, some.integrated, strict=True)
-        result.append(
-            np.concatenate(
-                [
-                    term.at(points).log_density(some.thrusts.thrust_n[:, fired], integrated)
-                    for term, fired, integrated in parts
-                ],
-                axis=1,
-            )
-        )
-    return np.concatenate(result)
+    lots = [
+        density_at(model, model.points(z[rows]), picked(draws, rows))
+        for rows in model.batches(len(z))
+    ]
+    return np.concatenate(lots)
+
+
+def density_at(model: Model, points: Points, draws: Draws) -> Array:
+    """The same (n, E) at the points of draws, all at once."""
+    each = drawn_terms(model, points, draws)
+    return np.concatenate([term.log_density(thrust, own) for term, thrust, own in each], axis=1)
 
 
 def event_log_marginal(model: Model, z: Array, level_n: Array, software: Array | None) -> Array:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from cassini_bayes.balance.accelerometer import AccelerometerStatistics, accelerometer_statistics
 from cassini_bayes.balance.measured_delta_v import DeltaVStatistics, delta_v_statistics
@@ -295,19 +296,10 @@ def reduce_samples(
     rows = PreparedRows((samples,), sampling.control_cycle_s, sampling.guard_s)
     result = rows.prepared.found
     statistics = reduce_chunks(event_id, kind, rows, layout, sampling, prepared=result)
-    counted = np.flatnonzero(samples.has_counters) if thrusters else np.zeros(0, dtype=np.int64)
-    gained = np.zeros((2, len(thrusters)))
-    if len(counted):
-        first, last = counted[[0, -1]]
-        gained = np.stack([v[last] - v[first] for v in (samples.on_time_s, samples.pulses)])
-    reading = ReadingRecord(
-        rows=len(samples),
-        start_s=float(samples.time_s[0]),
-        end_s=float(samples.time_s[-1]),
-        on_time_s=tuple(gained[0].tolist()),
-        pulses=tuple(gained[1].tolist()),
-        mends=(),
-    )
+    gone = _Counters(len(thrusters))
+    gone.take(samples.on_time_s, samples.pulses)
+    start, end = samples.time_s[[0, -1]].tolist()
+    reading = ReadingRecord(len(samples), start, end, *gone.gained, mends=())
     sampling = statistics.counters.seen_by(sampling)
     return ReducedEvent(statistics, sampling, reading, rows, "memory", epoch=epoch)
 
@@ -360,23 +352,17 @@ def reduce_event(
     looked = PreparedRows(rows, likely.control_cycle_s, likely.guard_s)
     key = reduction_key(event, likely, policy)
     cached = _cached(cache, key)
-    if cached is None:
-        prepared = looked.prepared
-        sampling = sampling_of(priors, event.thrusters, prepared.end_s, pulse_shape)
-        statistics, reading = _reduced(event, rows, prepared, priors, sampling, log, policy)
-    else:
-        statistics, reading = cached
-        sampling = sampling_of(priors, event.thrusters, statistics.duration_s, pulse_shape)
-    sampling = statistics.counters.seen_by(sampling)
+    statistics, reading = cached or _reduced(
+        event, rows, looked.prepared, priors, likely, log, policy
+    )
+    sampling = statistics.counters.seen_by(replace(likely, duration_s=statistics.duration_s))
     source = "from the cache" if cached is not None else "reduced"
     blocks = f" (means over {sampling.block_s:g} s: hardly a row is without firing)"
     log(
         f"{event.id} ({event.kind}): {reading.rows:,} rows of telemetry, {statistics.rows:,} in "
         f"the balance{blocks if sampling.block_s > 0.0 else ''}, {source}"
     )
-    for line in reading.mends:
-        log(f"{event.id}: mended: {line}")
-    for line in reading.findings:
+    for line in (*(f"mended: {mend}" for mend in reading.mends), *reading.findings):
         log(f"{event.id}: {line}")
     return ReducedEvent(
         statistics,
@@ -448,20 +434,34 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
         return None
     statistics = load_statistics(cache / f"{key}.npz")
     try:
-        fields = read_json(cache / f"{key}.json", "the record of a reduction")
-        reading = ReadingRecord(
-            rows=int(fields["rows"]),
-            start_s=float(fields["start_s"]),
-            end_s=float(fields["end_s"]),
-            on_time_s=tuple(float(value) for value in fields["on_time_s"]),
-            pulses=tuple(float(value) for value in fields["pulses"]),
-            mends=tuple(str(line) for line in fields["mends"]),
-            findings=tuple(str(line) for line in fields["findings"]),
-            content=str(fields["content"]),
-        )
-    except (InputError, ValueError, TypeError, KeyError):
+        record = read_json(cache / f"{key}.json", "the record of a reduction")
+        reading = TypeAdapter(ReadingRecord).validate_python(record)
+    except (InputError, ValidationError):
         return None
     return None if statistics is None else (statistics, reading)
+
+
+class _Counters:
+    """What thruster counters have gone through, from their first reading to the last."""
+
+    def __init__(self, thrusters: int) -> None:
+        self._first: Array | None = None
+        self._last = np.zeros((2, thrusters))
+
+    def take(self, on_time_s: Array, pulses: Array) -> None:
+        """Go on with rows (n, K) of the counters."""
+        counters = np.stack([on_time_s, pulses])
+        rows = np.flatnonzero(np.isfinite(counters).all((0, 2)))
+        if counters.shape[2] and len(rows):
+            self._first = counters[:, rows[0]] if self._first is None else self._first
+            self._last = counters[:, rows[-1]]
+
+    @property
+    def gained(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """On-times and pulses (K,); none without a reading."""
+        gained = self._last if self._first is None else self._last - self._first
+        on_time_s, pulses = gained.tolist()
+        return tuple(on_time_s), tuple(pulses)
 
 
 class _Reading:
@@ -481,8 +481,7 @@ class _Reading:
         self._check = check
         self.rows = 0
         self.start_s, self.end_s = np.nan, np.nan
-        self._first: Array | None = None
-        self._last: Array | None = None
+        self._counters = _Counters(len(event.thrusters))
 
     def samples(self) -> Iterator[Samples]:
         """The event's rows, chunk by chunk."""
@@ -491,7 +490,7 @@ class _Reading:
                 self.start_s = float(chunk.time_s[0])
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
-            self._count(chunk)
+            self._counters.take(chunk.on_time_s, chunk.pulses)
             yield samples_of(self._check.take(chunk))
             self._log_progress()
 
@@ -507,26 +506,13 @@ class _Reading:
             f"{self._event.id}: {self.rows:,} rows read, {share:.0%} of the time, {left:.0f} s left"
         )
 
-    def _count(self, chunk: Chunk) -> None:
-        counters = np.stack([chunk.on_time_s, chunk.pulses])
-        read = np.isfinite(counters).all((0, 2)) if counters.shape[2] else np.zeros(0, dtype=bool)
-        if not read.any():
-            return
-        rows = np.flatnonzero(read)
-        self._first = counters[:, rows[0]] if self._first is None else self._first
-        self._last = counters[:, rows[-1]]
-
     def record(self, plausible: Plausibility) -> ReadingRecord:
         """The record, once the last chunk has been taken."""
-        gained = np.zeros((2, len(self._event.thrusters)))
-        if self._first is not None and self._last is not None:
-            gained = self._last - self._first
         return ReadingRecord(
-            rows=self.rows,
-            start_s=self.start_s,
-            end_s=self.end_s,
-            on_time_s=tuple(float(value) for value in gained[0]),
-            pulses=tuple(float(value) for value in gained[1]),
+            self.rows,
+            self.start_s,
+            self.end_s,
+            *self._counters.gained,
             mends=self._rows.mends.lines(),
             findings=plausible.findings,
             content=plausible.content,
@@ -538,10 +524,12 @@ def _reduced(
     rows: EventRows,
     prepared: Prepared,
     priors: Priors,
-    sampling: Sampling,
+    likely: Sampling,
     log: Log,
     policy: Policy,
 ) -> tuple[EventStatistics, ReadingRecord]:
+    """The reduction of an event that lasts as long as a first look has found."""
+    sampling = replace(likely, duration_s=prepared.end_s)
     layout = layout_of(event.wheels, event.thrusters, sampling)
     check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors), policy)
     reading = _Reading(event, rows, check, sampling.duration_s, log)

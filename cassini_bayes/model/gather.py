@@ -78,7 +78,7 @@ class Read:
 
 
 def read_reference(
-    given: PathLike | TelemetryEvent,
+    given: EventLike,
     priors: Priors,
     *,
     pulse_shape: str,
@@ -89,13 +89,18 @@ def read_reference(
 ) -> Read:
     """An event folder or an event that was read, reduced; or rows of a totals file, checked.
 
-    ``cache`` holds earlier reductions (:func:`~cassini_bayes.model.event_reduction.reduce_event`).
+    Rows, and telemetry that was reduced, are taken as they are. ``cache`` holds earlier reductions
+    (:func:`~cassini_bayes.model.event_reduction.reduce_event`).
 
     Raises
     ------
     InputError
         Bad data: file, row and column are named.
     """
+    if isinstance(given, TotalsEvent):
+        return Read.of_rows((given,))
+    if isinstance(given, ReducedEvent):
+        return Read.of_reduced(given)
     if isinstance(given, TelemetryEvent):
         return Read.of_reduced(reduce_event(given, priors, pulse_shape, cache, log, policy))
     if is_event_folder(Path(given)):
@@ -132,18 +137,12 @@ def gather(
     InputError
         Bad data: file, row and column are named.
     """
-    reads = []
-    for given in each_event(events):
-        if isinstance(given, TotalsEvent):
-            reads.append(Read.of_rows((given,)))
-        elif isinstance(given, ReducedEvent):
-            reads.append(Read.of_reduced(given))
-        else:
-            reads.append(
-                read_reference(
-                    given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
-                )
-            )
+    reads = [
+        read_reference(
+            given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+        )
+        for given in each_event(events)
+    ]
     return together(reads, priors, policy)
 
 

@@ -10,6 +10,7 @@ Noise levels act on the scatter of the rows, not on their mean, and have no plac
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -19,20 +20,18 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.model.posterior import Model
-from cassini_bayes.model.terms import Points, Term
+from cassini_bayes.model.terms import STEP, Points, Term, slopes_of
 from cassini_bayes.model.thrusts import ThrustPrior
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
 
-STEP: Final = 0.05  # in prior standard deviations
-# Posterior over prior width, by which quantities are called seen well, seen, hardly seen. Judgement
-# of where to cut: at 0.3 data weigh ten times as much as the prior, at 0.7 as much, at 0.95 0.1.
-WELL_CONSTRAINED: Final = 0.3
-CONSTRAINED: Final = 0.7
-HARDLY_CONSTRAINED: Final = 0.95
+LIMITS: Final = (0.3, 0.7, 0.95)
+"""Posterior over prior width, from which on quantities are called by the next verdict. Judgement of
+where to cut: at 0.3 data weigh ten times as much as the prior, at 0.7 as much, at 0.95 0.1."""
 TOGETHER: Final = 0.9  # correlation from which on two quantities are called tied together
 NOISE_BLOCK: Final = "noise"
 UNCONSTRAINED: Final = "not seen"
+VERDICTS: Final = ("seen well", "seen", "hardly seen", UNCONSTRAINED)
 
 
 @dataclass(frozen=True)
@@ -63,11 +62,9 @@ def observability(model: Model) -> Observability:
     unknowns = model.unknowns
     information = _information(model, unknowns)
     covariance = np.asarray(np.linalg.inv(information + np.eye(unknowns.size)), dtype=np.float64)
-    factor = model.space.correlation_factor
-    expected = factor @ covariance[unknowns.walked, unknowns.walked] @ factor.T
-    thrusts = _thrust_rows(model, unknowns, covariance)
-    table = pd.DataFrame([*thrusts, *_walked_rows(model, expected)])
-    table["verdict"] = [_verdict(float(ratio)) for ratio in table["ratio"]]
+    expected = _expected(model, unknowns, covariance)
+    table = _quantities(model, unknowns, covariance, every_event=True)
+    table["verdict"] = [VERDICTS[bisect_right(LIMITS, ratio)] for ratio in table["ratio"]]
     asked = _asked(model, unknowns)
     singular = np.sqrt(np.maximum(np.linalg.eigvalsh(_marginal(information, asked)), 0.0))[::-1]
     together = _together(model.space.names, expected)
@@ -87,24 +84,39 @@ def event_worth(model: Model) -> pd.DataFrame:
     total = np.eye(unknowns.size)
     for _, places, part in parts:
         total[np.ix_(places, places)] += part
-    everything = _shared_rows(model, unknowns, np.asarray(np.linalg.inv(total)))
+    everything = _quantities(model, unknowns, np.asarray(np.linalg.inv(total)))
     named = everything[["quantity", "block", "unit"]]
     tables = []
     for place, places, part in parts:
         rest = total.copy()
         rest[np.ix_(places, places)] -= part
-        without = _shared_rows(model, unknowns, np.asarray(np.linalg.inv(rest)))
+        without = _quantities(model, unknowns, np.asarray(np.linalg.inv(rest)))
         narrowing = 1.0 - everything["expected_sd"] / without["expected_sd"]
         tables.append(named.assign(event=model.events[place].id, narrowing=narrowing))
     return pd.concat(tables, ignore_index=True)
 
 
-def _shared_rows(model: Model, unknowns: Unknowns, covariance: Array) -> pd.DataFrame:
-    """Thrust levels and walked parameters, from the covariance of what the events share."""
+def _expected(model: Model, unknowns: Unknowns, covariance: Array) -> Array:
+    """Expected covariance (d, d) of the walked parameters' standard coordinates."""
     factor = model.space.correlation_factor
-    expected = factor @ covariance[unknowns.walked, unknowns.walked] @ factor.T
-    levels = _level_rows(model, unknowns, covariance)
-    return pd.DataFrame([*levels, *_walked_rows(model, expected)])
+    return np.asarray(factor @ covariance[unknowns.walked, unknowns.walked] @ factor.T)
+
+
+def _quantities(
+    model: Model, unknowns: Unknowns, covariance: Array, *, every_event: bool = False
+) -> pd.DataFrame:
+    """Thrust levels, thrusts of every event that fires if asked for, walked parameters."""
+    prior, stop = model.thrust_prior, unknowns.levels.stop
+    cases = [("all events", slice(stop, stop), prior.departures[:, :0])] if model.fires else []
+    if every_event:
+        cases += [
+            (event.id, places.departures, prior.departures)
+            for event, places in zip(model.events, unknowns.events, strict=True)
+            if event.fires
+        ]
+    thrusts = _thrust_rows(model, unknowns, covariance, cases)
+    walked = _walked_rows(model, _expected(model, unknowns, covariance))
+    return pd.DataFrame([*thrusts, *walked])
 
 
 def _information(model: Model, unknowns: Unknowns) -> Array:
@@ -121,7 +133,7 @@ def _parts(model: Model, unknowns: Unknowns) -> Iterator[tuple[int, Places, Arra
     slopes = _level_slopes(model)
     for term, events in zip(model.terms, model.events_of_term, strict=True):
         own = _effect_slopes(model, term, points)
-        for event, part in term.at(points).expected_information(unknowns, events.start, STEP):
+        for event, part in term.at(points).expected_information(events.start):
             if model.events[event].fires:
                 if slopes.size:
                     part = _with_levels(part, slopes, model.thrust_prior)
@@ -141,13 +153,13 @@ def _steps(model: Model) -> Array:
 
 def _level_slopes(model: Model) -> Array:
     """Change (K, d) of the mean thrust levels with what is walked; (K, 0) where there is none."""
-    prior, d = model.thrust_prior, model.space.dimension
+    prior = model.thrust_prior
     if prior.chained is None and not prior.common_is_walked:
         return np.zeros((len(prior.shared), 0))
     points = model.points(_steps(model))
     offset = prior.offset_at(points.parameters, points.common_n)
     levels = points.common_n[:, None] + (np.zeros(len(prior.shared)) if offset is None else offset)
-    return np.asarray((levels[1 : d + 1] - levels[d + 1 :]).T / (2.0 * STEP))
+    return slopes_of(levels).T
 
 
 def _effect_slopes(model: Model, term: Term, points: Points) -> tuple[Array, Array] | None:
@@ -155,13 +167,12 @@ def _effect_slopes(model: Model, term: Term, points: Points) -> tuple[Array, Arr
 
     None without such effects; ``points`` are those of :func:`_steps`.
     """
-    factor, d = term.thrust_factor(points), model.space.dimension
+    factor = term.thrust_factor(points)
     if factor is None or not factor.shape[1]:
         return None
     prior = model.thrust_prior
     mean = prior.mean_at(points.parameters, points.common_n)[0]
-    slopes = np.moveaxis(factor[1 : d + 1] - factor[d + 1 :], 0, -1) / (2.0 * STEP)
-    return factor[0], np.asarray(mean[:, None] * slopes)
+    return factor[0], np.asarray(mean[:, None] * np.moveaxis(slopes_of(factor), 0, -1))
 
 
 def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array:
@@ -204,30 +215,7 @@ def _walked_rows(model: Model, expected: Array) -> list[dict[str, object]]:
     return rows
 
 
-def _thrust_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dict[str, object]]:
-    """Thrust of every thruster in every event that fires, and of its level over all events."""
-    return _level_rows(model, unknowns, covariance) + _rows_of_cases(
-        model,
-        unknowns,
-        covariance,
-        [
-            (event.id, places.departures, model.thrust_prior.departures)
-            for event, places in zip(model.events, unknowns.events, strict=True)
-            if event.fires
-        ],
-    )
-
-
-def _level_rows(model: Model, unknowns: Unknowns, covariance: Array) -> list[dict[str, object]]:
-    """Thrust of every thruster over all events, where any fires."""
-    if not model.fires:
-        return []
-    nothing = slice(unknowns.levels.stop, unknowns.levels.stop)
-    case = ("all events", nothing, model.thrust_prior.departures[:, :0])
-    return _rows_of_cases(model, unknowns, covariance, [case])
-
-
-def _rows_of_cases(
+def _thrust_rows(
     model: Model,
     unknowns: Unknowns,
     covariance: Array,
@@ -260,17 +248,6 @@ def _row(name: str, block: str, unit: str, prior: float, ratio: float) -> dict[s
     }
 
 
-def _verdict(ratio: float) -> str:
-    for limit, word in (
-        (WELL_CONSTRAINED, "seen well"),
-        (CONSTRAINED, "seen"),
-        (HARDLY_CONSTRAINED, "hardly seen"),
-    ):
-        if ratio < limit:
-            return word
-    return UNCONSTRAINED
-
-
 def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
     """Pairs of walked parameters whose expected posterior correlation is strong."""
     width = np.sqrt(np.diagonal(covariance))
@@ -294,15 +271,17 @@ def _sentences(
         f"{singular[0]:.3g} to {singular[-1]:.2g}; 1 is as good as the prior)."
     ]
     levels = table[table["quantity"].str.startswith("thrust[all events")]
-    groups = [("thrust levels", levels), ("inertia", table[table["block"] == "inertia"])]
     others = ["thrust", "inertia", EFFECT_BLOCK]
-    groups.append(("nuisances", table[~table["block"].isin(others)]))
-    groups.append(("effects", table[table["block"] == EFFECT_BLOCK]))
-    for name, rows in groups:
+    for name, rows in (
+        ("thrust levels", levels),
+        ("inertia", table[table["block"] == "inertia"]),
+        ("nuisances", table[~table["block"].isin(others)]),
+        ("effects", table[table["block"] == EFFECT_BLOCK]),
+    ):
         if rows.empty:
             continue
         parts = []
-        for verdict in ("seen well", "seen", "hardly seen", UNCONSTRAINED):
+        for verdict in VERDICTS:
             members = rows[rows["verdict"] == verdict]["quantity"]
             if len(members):
                 labels = [str(m).removeprefix("thrust[all events,").rstrip("]") for m in members]

@@ -8,7 +8,7 @@ events.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.effects.effect import Effect, columns_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
@@ -26,7 +26,6 @@ from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, telemetry
 from cassini_bayes.model.terms import Points, Shared, Term, TermAt, TermEvent
 from cassini_bayes.model.thrusts import (
     CollapsedThrusts,
-    ThrustInformation,
     ThrustPrior,
     collapse_thrusts,
     level_factor,
@@ -110,22 +109,18 @@ class Model(Shared):
     @cached_property
     def fired_of_term(self) -> tuple[slice, ...]:
         """Where every term's events are among those that fire."""
-        counts = (sum(event.fires for event in term.events) for term in self.terms)
-        return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
+        return _side_by_side(sum(event.fires for event in term.events) for term in self.terms)
 
     @cached_property
     def events_of_term(self) -> tuple[slice, ...]:
         """Where every term's events are among all."""
-        counts = (len(term.events) for term in self.terms)
-        return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
+        return _side_by_side(len(term.events) for term in self.terms)
 
     @property
     def unknowns(self) -> Unknowns:
         """Places of everything unknown, walked or integrated out."""
-        levels, departures = (
-            self.thrust_prior.shared.shape[1],
-            self.thrust_prior.departures.shape[1],
-        )
+        prior = self.thrust_prior
+        levels, departures = prior.shared.shape[1], prior.departures.shape[1]
         events = ((event.fires, event.nuisances) for event in self.events)
         return Unknowns.of(self.space.dimension, levels, departures, events)
 
@@ -146,6 +141,10 @@ class Model(Shared):
         size = min(term.most_points for term in self.terms)
         for start in range(0, n, size):
             yield slice(start, min(start + size, n))
+
+
+def _side_by_side(counts: Iterable[int]) -> tuple[slice, ...]:
+    return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
 
 
 def build_model(
@@ -235,11 +234,10 @@ def _with_rough_thrusts(model: Model) -> Model:
     nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
     means, _ = thrust_moments(prior, _collapse_at(model, nominal).thrusts)
     rough = np.maximum(means[0], 0.0)
+    places = model.fired_of_term[len(model.totals) :]
     terms = [
         term.with_thrusts(rough[fired][0], nominal) if term.event.fires else term
-        for term, fired in zip(
-            model.telemetry, model.fired_of_term[len(model.totals) :], strict=True
-        )
+        for term, fired in zip(model.telemetry, places, strict=True)
     ]
     return replace(model, telemetry=tuple(terms))
 
@@ -267,37 +265,14 @@ def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
         blocks=(*old.blocks, *(EFFECT_BLOCK for _ in parameters)),
     )
     specs = {spec.name: spec for effect in effects for spec in effect.specs}
-    added = tuple(effect.modifier(*place) for effect in effects)
-    in_rows = tuple(effect.modifier(*place, rows=True) for effect in effects)
+    added = [(effect, effect.modifier(*place)) for effect in effects]
+    in_rows = [(effect, effect.modifier(*place, rows=True)) for effect in effects]
     return replace(
         model,
         space=space,
         specs={**model.specs, **specs},
-        totals=tuple(
-            replace(
-                term,
-                modifiers=(*term.modifiers, *added),
-                acting=(
-                    *term.acting,
-                    *(tuple(effect.acts_in(row) for row in term.event_ids) for effect in effects),
-                ),
-            )
-            for term in model.totals
-        ),
-        telemetry=tuple(
-            replace(
-                term,
-                modifiers=(
-                    *term.modifiers,
-                    *(
-                        modifier
-                        for modifier, effect in zip(in_rows, effects, strict=True)
-                        if effect.acts_in(term.id)
-                    ),
-                ),
-            )
-            for term in model.telemetry
-        ),
+        totals=tuple(term.with_modifiers(added) for term in model.totals),
+        telemetry=tuple(term.with_modifiers(in_rows) for term in model.telemetry),
         effects=(*model.effects, *effects),
     )
 
@@ -384,7 +359,7 @@ def _collapse_at(model: Model, points: Points) -> Collapsed:
     factor = thrust_factor(model, points)
     thrusts = collapse_thrusts(
         prior,
-        ThrustInformation.joined([term.information for term in terms]),
+        joined([term.information for term in terms], axis=1),
         common,
         prior.offset_at(points.parameters, common),
         factor,

@@ -17,6 +17,7 @@ import numpy as np
 from cassini_bayes.balance.accelerometer import (
     ACCELEROMETER_PARAMETERS,
     ROUNDING_COUNTS_2,
+    AccelerometerStatistics,
     accelerometer_information,
     count_columns,
 )
@@ -48,18 +49,20 @@ from cassini_bayes.balance.telemetry_information import row_information
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
 from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.terms import (
+    STEP,
     TORQUE,
     Points,
     Shared,
     TermDraws,
     TermEvent,
     Variable,
+    slopes_of,
 )
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
-from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS
@@ -148,6 +151,11 @@ class TelemetryTerm:
             "thrust_predicted_n": (each, _UNKNOWN[0], "N", "thrust printed with the event"),
         }
 
+    def with_modifiers(self, added: Sequence[tuple[Effect, Modifier]]) -> TelemetryTerm:
+        """The same with those effects that act in the event, as changes of its rows' physics."""
+        acting = (modifier for effect, modifier in added if effect.acts_in(self.id))
+        return replace(self, modifiers=(*self.modifiers, *acting))
+
     def without_idle_columns(self, points: Points) -> TelemetryTerm:
         """The same without columns that no point gives weight."""
         walks = bool(np.any(points.parameters[TORQUE_NOISE] > 0.0))
@@ -166,19 +174,6 @@ class TelemetryTerm:
 
 
 _UNKNOWN: Final = np.full((1, 1), np.nan)
-
-
-@dataclass(frozen=True)
-class UnknownsGivenThrusts:
-    """Conditional normal of an event's own unknowns given its thrusts.
-
-    In standardised coordinates v = (u − mean)/sd: precision with the lower ``factor``, mean
-    factor⁻ᵀ (shift − coupling F).
-    """
-
-    factor: Array  # (n, U, U)
-    shift: Array  # (n, U)
-    coupling: Array  # (n, U, K)
 
 
 @dataclass(frozen=True)
@@ -206,37 +201,32 @@ class TelemetryAt:
         )
 
     @cached_property
-    def _collapsed(self) -> tuple[UnknownsGivenThrusts, Array, Array, Array]:
-        """Own unknowns integrated out: their factors, and matrix, vector, constant of the thrusts.
+    def _collapsed(self) -> tuple[Array, ...]:
+        """Own unknowns u integrated out: what is left of them, and of the thrusts F.
 
-        With M the normal equations and v the standardised own unknowns, their precision is
-        1 + s M_vv s.
+        With M the normal equations and v = (u − mean)/sd, given F, v is normal: its precision is
+        1 + s M_vv s with the lower factor (n, U, U), its mean factor⁻ᵀ (shift − coupling F), shift
+        (n, U) and coupling (n, U, K). Then come matrix, vector and constant of the thrusts.
         """
         system = self.system
-        factor, shift, coupling, matrix, vector, constant = without_own(
+        *left, constant = without_own(
             system.normal,
             self.term.balance.pattern.thrusters,
             system.own_mean,
             system.own_sd,
             np.ascontiguousarray(self.points.common_n),
         )
-        return (
-            UnknownsGivenThrusts(factor, shift, coupling),
-            matrix,
-            vector,
-            system.log_scale + constant,
-        )
+        return *left, system.log_scale + constant
 
     @property
     def log_likelihood(self) -> Array:
         """That of an event that does not fire, (n,)."""
-        _, _, _, constant = self._collapsed
-        return np.zeros(self.points.n) if self.term.event.fires else constant
+        return np.zeros(self.points.n) if self.term.event.fires else self._collapsed[-1]
 
     @property
     def information(self) -> ThrustInformation:
         """Information of momentum and of a measured velocity change on the event's thrusts."""
-        _, matrix, vector, constant = self._collapsed
+        *_, matrix, vector, constant = self._collapsed
         if not self.term.event.fires:
             return ThrustInformation.nothing(
                 self.points.n, len(self.points.shared.thrust_prior.shared)
@@ -247,22 +237,12 @@ class TelemetryAt:
 
     def _velocity(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
         """Information of a measured velocity change and of an accelerometer, where there are."""
-        if self.term.event.delta_v is not None:
-            yield delta_v_information(
-                self.term.event.delta_v,
-                self.physics,
-                self._directions,
-                self.points.parameters,
-                reference_n,
-            )
-        if self.term.event.accelerometer is not None:
-            yield accelerometer_information(
-                self.term.event.accelerometer,
-                self.physics,
-                self._directions,
-                self.points.parameters,
-                reference_n,
-            )
+        event = self.term.event
+        given = self.physics, self._directions, self.points.parameters, reference_n
+        if event.delta_v is not None:
+            yield delta_v_information(event.delta_v, *given)
+        if event.accelerometer is not None:
+            yield accelerometer_information(event.accelerometer, *given)
 
     @property
     def _directions(self) -> Array:
@@ -288,11 +268,10 @@ class TelemetryAt:
 
     def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
         """Initial momentum, torque and cut tails given the thrusts."""
-        factors = self._collapsed[0]
-        thrusts = thrust_n.reshape(self.points.n, -1, 1)
-        pull = factors.shift - (factors.coupling @ thrusts)[..., 0]
+        factor, shift, coupling, *_ = self._collapsed
+        pull = shift - (coupling @ thrust_n.reshape(self.points.n, -1, 1))[..., 0]
         white = pull + rng.standard_normal(pull.shape)
-        v = np.linalg.solve(np.swapaxes(factors.factor, -1, -2), white[..., None])[..., 0]
+        v = np.linalg.solve(np.swapaxes(factor, -1, -2), white[..., None])[..., 0]
         own = self.system.own_mean + self.system.own_sd * v
         places = self.term.balance.unknowns.at(0)
         return {
@@ -316,12 +295,9 @@ class TelemetryAt:
             density = density + constant + (linear * thrusts).sum(-1) - 0.5 * square
         return np.asarray(density[:, None])
 
-    def expected_information(
-        self, unknowns: Unknowns, first: int, step: float
-    ) -> Iterator[tuple[int, Array]]:
+    def expected_information(self, first: int) -> Iterator[tuple[int, Array]]:
         """Of the rows' balance, and of a measured velocity change."""
-        shared, d = self.points.shared, unknowns.walked.stop
-        prior = shared.thrust_prior
+        prior = self.points.shared.thrust_prior
         factor = self.term.thrust_factor(self.points)
         thrust = np.full(self.term.balance.pattern.thrusters, prior.common_mean_n)
         if factor is not None and self.term.event.fires:
@@ -335,10 +311,10 @@ class TelemetryAt:
             mean=mean,
             own_sd=self.system.own_sd[0],
             levels=np.concatenate([prior.shared, prior.departures], axis=1),
-            step=step,
+            step=STEP,
         )
         if self.term.event.delta_v is not None:
-            columns = self._delta_v_columns(self.term.event.delta_v, d, step)
+            columns = self._delta_v_columns(self.term.event.delta_v)
             size = len(columns)
             gram = self.term.event.delta_v.centred_gram
             noise = delta_v_variance(self.points.parameters)[0]
@@ -346,42 +322,32 @@ class TelemetryAt:
                 np.einsum("uca,ab,vcb->uv", columns, gram, columns, optimize=True) / noise
             )
         if self.term.event.accelerometer is not None:
-            counts = self._count_slopes(d, step)
+            counts = self._count_slopes(self.term.event.accelerometer)
             inner = counts @ self.term.event.accelerometer.centred_gram @ counts.T
             total[: len(counts), : len(counts)] += inner / ROUNDING_COUNTS_2
         yield first, total
 
-    def _count_slopes(self, d: int, step: float) -> Array:
+    def _count_slopes(self, statistics: AccelerometerStatistics) -> Array:
         """Slopes (unknown, 4 K + 1) of the accelerometer's counts: walked, levels, departures."""
-        prior, statistics = self.points.shared.thrust_prior, self.term.event.accelerometer
-        assert statistics is not None
-        each, drift = count_columns(
-            statistics, self.physics, self._directions, self.points.parameters
-        )
-        total = prior.common_mean_n * each.sum(1) + drift
-        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        prior, given = self.points.shared.thrust_prior, self.points.parameters
+        each, drift = count_columns(statistics, self.physics, self._directions, given)
+        walked = slopes_of(prior.common_mean_n * each.sum(1) + drift)
         return np.concatenate([walked, prior.shared.T @ each[0], prior.departures.T @ each[0]])
 
-    def _delta_v_columns(self, statistics: DeltaVStatistics, d: int, step: float) -> Array:
+    def _delta_v_columns(self, statistics: DeltaVStatistics) -> Array:
         """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
         prior = self.points.shared.thrust_prior
         each = delta_v_columns(statistics, self.physics, self._directions, self.points.parameters)
-        total = prior.common_mean_n * each.sum(1)
-        walked = (total[1 : d + 1] - total[d + 1 :]) / (2.0 * step)
+        walked = slopes_of(prior.common_mean_n * each.sum(1))
         levels = np.einsum("kca,kq->qca", each[0], prior.shared)
         own = np.einsum("kca,kq->qca", each[0], prior.departures)
         return np.concatenate([walked, levels, own])
 
     def variables(self, draws: TermDraws) -> Mapping[str, Variable]:
         """Initial momentum, inertia without the wheels' spin, and the mass where ΔV needs it."""
-        n = self.points.n
+        n, total = self.points.n, "total angular momentum at the first row, body axes"
         result: dict[str, Variable] = {
-            INITIAL: (
-                ("event", "axis"),
-                draws[INITIAL][:, None],
-                "N m s",
-                "total angular momentum at the first row, body axes",
-            )
+            INITIAL: (("event", "axis"), draws[INITIAL][:, None], "N m s", total)
         }
         shared = self.points.shared
         hub = without_wheels(self.physics, shared.spacecraft, shared.wheels)

@@ -16,7 +16,6 @@ import numpy as np
 from cassini_bayes.balance.physics import Modifier, Physics, physics_of
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import ThrustInformation, ThrustPrior
-from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.spacecraft import Spacecraft
 
 Variable = tuple[tuple[str, ...], Array, str, str]
@@ -25,8 +24,16 @@ TermDraws = Mapping[str, Array]
 """What a term has of its own beside thrusts, drawn: name → (n, …)."""
 TORQUE = "external_torque_n_m"
 """The steady external torque (n, E, 3) of a term's events, which every term has."""
+STEP: Final = 0.05
+"""In prior standard deviations, of walked coordinates about the prior's centre."""
 ALL_POINTS: Final = 1_000_000
 """As many points at once as anybody asks for: for terms whose points are small."""
+
+
+def slopes_of(values: Array) -> Array:
+    """Slopes (d, …) in the walked coordinates of values (1 + 2 d, …) at the centre, up and down."""
+    d = len(values) // 2
+    return np.asarray((values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP))
 
 
 @dataclass(frozen=True)
@@ -94,12 +101,10 @@ class TermAt(Protocol):
     def log_density(self, thrust_n: Array, draws: TermDraws) -> Array:
         """Log density (n, E) of each event's data given everything, its thrusts included."""
 
-    def expected_information(
-        self, unknowns: Unknowns, first: int, step: float
-    ) -> Iterator[tuple[int, Array]]:
+    def expected_information(self, first: int) -> Iterator[tuple[int, Array]]:
         """Expected information on the standardised unknowns of every event, with its number.
 
-        The points are the prior's centre, then one step up and one down along every walked
+        The points are the prior's centre, then one :data:`STEP` up and one down along every walked
         coordinate; ``first`` is the number of the term's first event.
         """
 

@@ -8,7 +8,6 @@ derives the formulae.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
@@ -16,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.priors.chaining import ChainedLevels
 from cassini_bayes.priors.reader import Priors
 
@@ -134,34 +133,6 @@ class ThrustInformation:
         """Of no event."""
         return cls(
             np.zeros((n, 0, thrusters, thrusters)), np.zeros((n, 0, thrusters)), np.zeros((n, 0))
-        )
-
-    @classmethod
-    def joined(cls, parts: Sequence[ThrustInformation]) -> ThrustInformation:
-        """Of the events of all parts, in order."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(
-            np.concatenate([part.matrix for part in parts], axis=1),
-            np.concatenate([part.vector for part in parts], axis=1),
-            np.concatenate([part.constant for part in parts], axis=1),
-        )
-
-    @classmethod
-    def of_points(cls, lots: Sequence[ThrustInformation]) -> ThrustInformation:
-        """Of the same events at the points of several lots."""
-        return cls(
-            np.concatenate([lot.matrix for lot in lots]),
-            np.concatenate([lot.vector for lot in lots]),
-            np.concatenate([lot.constant for lot in lots]),
-        )
-
-    def cut(self, points: Places | slice, events: slice) -> ThrustInformation:
-        """That of some points and events."""
-        return ThrustInformation(
-            self.matrix[points][:, events],
-            self.vector[points][:, events],
-            self.constant[points][:, events],
         )
 
     def about(self, offset_n: Array) -> ThrustInformation:
@@ -412,16 +383,17 @@ def _prior_thrusts(
     common = prior.common_at(parameters, n)
     if not thrusters:
         return ThrustDraws(np.zeros((*shape, 0)), common, np.zeros((n, 0)))
+    own = (*shape, prior.departures.shape[1])
     if prior.chained is not None:
-        white = rng.standard_normal((*shape, prior.departures.shape[1]))
+        white = rng.standard_normal(own)
         spread = rng.standard_normal((n, prior.shared.shape[1])) @ prior.shared.T
         level = prior.chained.levels_n(parameters) + spread
         common = _draw_common(prior, common, level, rng)
-        return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
-    individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
-    common = common + prior.common_sd_n * rng.standard_normal(n)
-    white = rng.standard_normal((*shape, prior.departures.shape[1]))
-    level = common[:, None] + individual
+    else:
+        individual = prior.individual_sd_n * rng.standard_normal((n, thrusters))
+        common = common + prior.common_sd_n * rng.standard_normal(n)
+        white = rng.standard_normal(own)
+        level = common[:, None] + individual
     return ThrustDraws(level[:, None, :] + white @ prior.departures.T, common, level)
 
 

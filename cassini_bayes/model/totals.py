@@ -9,7 +9,7 @@ the response Jacobian, whose logarithm is expanded to second order about the ref
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal
 
@@ -38,6 +38,7 @@ from cassini_bayes.balance.totals_system import (
 )
 from cassini_bayes.balance.totals_terms import TotalsStack, stack_events
 from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.terms import (
@@ -48,9 +49,9 @@ from cassini_bayes.model.terms import (
     TermDraws,
     TermEvent,
     Variable,
+    slopes_of,
 )
 from cassini_bayes.model.thrusts import THRUST_COMMON, ThrustInformation, normal_log_density
-from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs, thruster_directions
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
@@ -101,6 +102,12 @@ class TotalsTerm:
     def integrated(self) -> tuple[str, ...]:
         """The constants of the on-board ΔV."""
         return () if self.computed is None else SOFTWARE
+
+    def with_modifiers(self, added: Sequence[tuple[Effect, Modifier]]) -> TotalsTerm:
+        """The same with more effects, as changes of the physics of the rows in which they act."""
+        acting = (tuple(effect.acts_in(row) for row in self.event_ids) for effect, _ in added)
+        modifiers = (*self.modifiers, *(modifier for _, modifier in added))
+        return replace(self, modifiers=modifiers, acting=(*self.acting, *acting))
 
     def at(self, points: Points) -> TotalsAt:
         """The balances at n points."""
@@ -158,17 +165,11 @@ class TotalsTerm:
 
     def observed(self) -> Mapping[str, Variable]:
         """On-times, pulses and velocity changes as printed."""
-        stack = self.stack
-        each = ("event", "thruster")
+        stack, each, along = self.stack, ("event", "thruster"), ("event", "axis")
         return {
             "on_time_s": (each, stack.on_time_s, "s", "commanded on-time"),
             "pulses": (each, stack.pulses, "1", "number of pulses"),
-            "delta_v_m_s": (
-                ("event", "axis"),
-                stack.delta_v_m_s,
-                "m s-1",
-                "velocity change, body axes",
-            ),
+            "delta_v_m_s": (along, stack.delta_v_m_s, "m s-1", "velocity change, body axes"),
         }
 
     def constants(self) -> Mapping[str, Variable]:
@@ -176,17 +177,12 @@ class TotalsTerm:
         stack = self.stack
         start = stack.wheel_start_rad_s * RPM_PER_RAD_S
         end = stack.wheel_end_rad_s * RPM_PER_RAD_S
-        each = ("event", "wheel")
+        each, wheel, printed = ("event",), ("event", "wheel"), stack.thrust_predicted_n
         return {
-            "duration_s": (("event",), stack.duration_s, "s", "duration of the event"),
-            "rwa_start_rpm": (each, start, "rpm", "wheel rate at the start"),
-            "rwa_end_rpm": (each, end, "rpm", "wheel rate at the end"),
-            "thrust_predicted_n": (
-                ("event",),
-                stack.thrust_predicted_n,
-                "N",
-                "thrust printed with the event",
-            ),
+            "duration_s": (each, stack.duration_s, "s", "duration of the event"),
+            "rwa_start_rpm": (wheel, start, "rpm", "wheel rate at the start"),
+            "rwa_end_rpm": (wheel, end, "rpm", "wheel rate at the end"),
+            "thrust_predicted_n": (each, printed, "N", "thrust printed with the event"),
         }
 
 
@@ -281,15 +277,12 @@ class TotalsAt:
         departure = draws[TORQUE] - self.points.shared.torque_mean_n_m
         return self.system.residual(thrust_n, departure)
 
-    def expected_information(
-        self, unknowns: Unknowns, first: int, step: float
-    ) -> Iterator[tuple[int, Array]]:
+    def expected_information(self, first: int) -> Iterator[tuple[int, Array]]:
         """Of every row: its balance, whitened, against all its unknowns."""
         system, shared = self.system, self.points.shared
         prior = shared.thrust_prior
-        d = unknowns.walked.stop
         at_common = system.target - prior.common_mean_n * system.design.sum(-1)
-        walked = -(at_common[1 : d + 1] - at_common[d + 1 :]) / (2.0 * step)
+        walked = -slopes_of(at_common)
         factor = self.term.thrust_factor(self.points)
         for i in range(len(self.term.event_ids)):
             design = system.design[0, i]
@@ -324,20 +317,12 @@ class TotalsAt:
         fresh = (factor @ rng.standard_normal((*factor.shape[:-1], 1)))[..., 0]
         matrix = self.system.response_matrix(thrust_n)
         answer = np.linalg.solve(matrix, (fresh - residual)[..., None])
-        stack = self.term.stack
+        stack, each, along = self.term.stack, ("event", "thruster"), ("event", "axis")
+        again = np.asarray(stack.on_time_s + (stack.response @ answer)[..., 0])
+        left = "thruster impulse plus torque minus the wheels' momentum change, at the data"
         return {
-            "on_time_s": (
-                ("event", "thruster"),
-                np.asarray(stack.on_time_s + (stack.response @ answer)[..., 0]),
-                "s",
-                "commanded on-time of the same bias flown again",
-            ),
-            "balance_residual_n_m_s": (
-                ("event", "axis"),
-                residual,
-                "N m s",
-                "thruster impulse plus torque minus the wheels' momentum change, at the data",
-            ),
+            "on_time_s": (each, again, "s", "commanded on-time of the same bias flown again"),
+            "balance_residual_n_m_s": (along, residual, "N m s", left),
         }
 
     def statistics(self, thrust_n: Array) -> Mapping[str, Variable]:

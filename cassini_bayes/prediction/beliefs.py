@@ -12,7 +12,7 @@ from cassini_bayes.files.checks import finite_number, nearest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
 
-UNITS: Final[Mapping[str, str]] = {
+FIRING: Final[Mapping[str, str]] = {
     "minor_constant_s": "s",
     "minor_per_duration": "1",
     "minor_per_demand": "1",
@@ -20,6 +20,9 @@ UNITS: Final[Mapping[str, str]] = {
     "event_spread": "1",
     "shared_per_demand": "1/s",
     "shared_shape": "1",
+}
+"""Units of the parameters of the firing model, which are walked."""
+NORMAL_ONLY: Final[Mapping[str, str]] = {
     "pulses_per_second": "1/s",
     "specific_impulse_s": "s",
     "specific_impulse_group_s": "s",
@@ -27,7 +30,8 @@ UNITS: Final[Mapping[str, str]] = {
     "wheel_loop_s": "s",
     "wheel_ramp_s_per_rpm": "s/rpm",
 }
-NORMAL_ONLY: Final = tuple(UNITS)[7:]
+"""Units of the parameters that are integrated out."""
+UNITS: Final[Mapping[str, str]] = {**FIRING, **NORMAL_ONLY}
 _WORDS: Final = ("dist", "low", "high", "unit", "source")
 
 

@@ -23,21 +23,13 @@ import numpy as np
 from scipy.special import gammaln
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.prediction.beliefs import Beliefs
+from cassini_bayes.prediction.beliefs import FIRING, Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.priors.parameter_space import ParameterSpace
 
 Parameters = Mapping[str, Array | float]
 
-NAMES: Final = (
-    "minor_constant_s",
-    "minor_per_duration",
-    "minor_per_demand",
-    "minor_quantum_s",
-    "event_spread",
-    "shared_per_demand",
-    "shared_shape",
-)
+NAMES: Final = tuple(FIRING)
 CYCLE_S: Final = 0.125
 LEAST_MINOR_S: Final = 0.005
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)

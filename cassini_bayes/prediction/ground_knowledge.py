@@ -8,7 +8,7 @@ software printed (thrust, thrust over mass, mass) with time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.prediction.physics import Physics
-from cassini_bayes.prediction.regressions import Regression, ScalePrior, regress
+from cassini_bayes.prediction.regressions import Regression, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
 
@@ -73,17 +73,9 @@ def pulse_regression(
 ) -> Regression:
     """N = r u + noise of variance φ r u: coefficient r, scale φ (1 for Poisson counts)."""
     on_time, pulses = _unit_totals(events, layout)
-    mean, sd = beliefs.moments("pulses_per_second")
-    return regress(
-        on_time[:, None],
-        pulses,
-        mean * on_time,
-        np.array([mean]),
-        np.array([sd]),
-        rng,
-        size=size,
-        scale=ScalePrior(0.25, 4.0),
-    )
+    rate = beliefs.moments("pulses_per_second")
+    variance = rate[0] * on_time
+    return regress(on_time[:, None], pulses, variance, [rate], rng, size=size, scale=0.25)
 
 
 def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tuple[Array, Array]:
@@ -115,17 +107,15 @@ def hydrazine_regression(
     design[..., :2] *= 1e3 / GRAVITY_M_S2
     isp, isp_sd = beliefs.moments("specific_impulse_s")
     group = beliefs.moments("specific_impulse_group_s")[1]
-    offset, offset_sd = beliefs.moments("hydrazine_offset_g")
-    return regress(
-        design,
-        grams,
-        hydrazine_variance(grams),
-        np.array([1.0 / isp, 0.0, offset]),
-        np.array([isp_sd / isp**2, group / isp**2, offset_sd]),
-        rng,
-        size=physics.size,
-        scale=ScalePrior(1.0, 4.0),
-    )
+    offset = beliefs.moments("hydrazine_offset_g")
+    prior = [(1.0 / isp, isp_sd / isp**2), (0.0, group / isp**2), offset]
+    return regress(design, grams, hydrazine_variance(grams), prior, rng, size=physics.size)
+
+
+def hydrazine_g(coefficients: Array, total: Array, couple: Array) -> Array:
+    """Grams (n,) of impulses (n,) of all thrusters and of the couple axis, N s, at draws (n, 3)."""
+    inverse, departure, offset = coefficients.T
+    return np.asarray(1e3 / GRAVITY_M_S2 * (total * inverse + couple * departure) + offset)
 
 
 def hydrazine_variance(grams: Array) -> Array:
@@ -141,24 +131,17 @@ def manager_regression(
     size: int,
 ) -> Regression:
     """Ramps of the wheels and loop time from the durations: D = p_j |Δ_j| + (n − 1) τ."""
-    ramp, ramp_sd = beliefs.moments("wheel_ramp_s_per_rpm")
-    loop, loop_sd = beliefs.moments("wheel_loop_s")
     design = np.zeros((len(events), len(wheels) + 1))
     for row, event in enumerate(events):
         change = np.abs(event.rwa_end_rpm - event.rwa_start_rpm)
         slowest = int(np.argmax(change))
         design[row, wheels.index(event.wheels[slowest])] = change[slowest]
     design[:, -1] = SETTLING_TIMES - 1.0
-    return regress(
-        design,
-        np.array([event.duration_s for event in events]),
-        np.full(len(events), DURATION_SD_S**2),
-        np.array([*(ramp for _ in wheels), loop]),
-        np.array([*(ramp_sd for _ in wheels), loop_sd]),
-        rng,
-        size=size,
-        scale=ScalePrior(1.0, 4.0),
-    )
+    durations = np.array([event.duration_s for event in events])
+    variance = np.full(len(events), DURATION_SD_S**2)
+    ramps = len(wheels) * [beliefs.moments("wheel_ramp_s_per_rpm")]
+    prior = [*ramps, beliefs.moments("wheel_loop_s")]
+    return regress(design, durations, variance, prior, rng, size=size)
 
 
 def trend_of(
@@ -172,28 +155,15 @@ def trend_of(
     given = [value for value in values if value is not None]
     if len(given) < len(values) or not given:
         return None
-    reference = min(epochs) + sum((e - min(epochs) for e in epochs), epochs[0] - epochs[0]) / len(
-        epochs
-    )
+    reference = min(epochs) + sum((e - min(epochs) for e in epochs), timedelta()) / len(epochs)
     years = np.array([(e - reference).total_seconds() / SECONDS_PER_YEAR for e in epochs])
     target = np.array(given)
     level = float(target.mean())
-    result = regress(
-        np.stack([np.ones_like(years), years], axis=-1),
-        target,
-        np.full(len(years), sd**2),
-        np.array([level, 0.0]),
-        np.array([0.02 * level, TREND_SD_PER_YEAR * level]),
-        rng,
-        size=size,
-        scale=ScalePrior(1.0, 4.0),
-    )
-    return Trend(
-        reference,
-        result.coefficients[:, 0],
-        result.coefficients[:, 1],
-        sd * np.sqrt(result.scale_square),
-    )
+    design = np.stack([np.ones_like(years), years], axis=-1)
+    prior = [(level, 0.02 * level), (0.0, TREND_SD_PER_YEAR * level)]
+    result = regress(design, target, np.full(len(years), sd**2), prior, rng, size=size)
+    centre, slope = result.coefficients.T
+    return Trend(reference, centre, slope, sd * np.sqrt(result.scale_square))
 
 
 def no_trend(epochs: list[datetime], size: int) -> Trend:

@@ -149,12 +149,7 @@ def ideal_on_times(steps: Array, torque: Array, layout: PairLayout) -> Array:
 
 def prior_parameters(priors: Priors) -> dict[str, float]:
     """Mean of every prior, value of every fixed parameter."""
-    result = {}
-    for name, prior in priors.parameters.items():
-        value = prior.fixed if prior.distribution is None else prior.distribution.mean()
-        assert value is not None  # the reader guarantees one of the two
-        result[name] = value
-    return result
+    return priors.means()
 
 
 def implied_parameters(

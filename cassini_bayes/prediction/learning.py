@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, mapped, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
@@ -122,7 +122,7 @@ def learn(
     features = training_features(model, events, physics, manager, rate)
     seen = [observe(event.on_time_s, layout) for event in events]
     firing, index, effective = joint_draws(features, seen, beliefs, rng, physics.size, size)
-    chosen = physics.at(index)
+    chosen = picked(physics, index)
     pulses = pulse_regression(events, layout, beliefs, rng, size)
     hydrazine = hydrazine_regression(model, events, chosen, layout, beliefs, rng)
     thrust_trend, acceleration, mass = _trends(events, rng, size)
@@ -151,17 +151,12 @@ def _trends(
 ) -> tuple[Trend, Trend | None, Trend | None]:
     """Drift of the printed thrust, of thrust over mass, and of mass."""
     epochs = [event.epoch for event in events]
-    thrust = trend_of(
-        epochs, [event.thrust_predicted_n for event in events], PRINTED_THRUST_SD_N, rng, size
-    )
-    ratios = [
-        event.thrust_predicted_n / event.mass_kg
-        if event.thrust_predicted_n and event.mass_kg
-        else None
-        for event in events
-    ]
+    thrusts = [event.thrust_predicted_n for event in events]
+    masses = [event.mass_kg for event in events]
+    ratios = [f / m if f and m else None for f, m in zip(thrusts, masses, strict=True)]
+    thrust = trend_of(epochs, thrusts, PRINTED_THRUST_SD_N, rng, size)
     acceleration = trend_of(epochs, ratios, PRINTED_ACCELERATION_SD_M_S2, rng, size)
-    mass = trend_of(epochs, [event.mass_kg for event in events], PRINTED_MASS_SD_KG, rng, size)
+    mass = trend_of(epochs, masses, PRINTED_MASS_SD_KG, rng, size)
     return thrust or no_trend(epochs, size), acceleration, mass
 
 
@@ -215,17 +210,11 @@ def joint_draws(
         value = log_likelihood(space.to_parameters(inside), which, seen) + terms
         return np.where((inside == z).all(-1), value, -np.inf)
 
-    typical = [
-        Features(**{name: np.full(1, np.mean(value)) for name, value in vars(f).items()})
-        for f in features
-    ]
+    typical = [mapped(lambda values: np.full(1, np.mean(values)), f) for f in features]
     proposal = _firing_proposal(lambda z: density(z, typical), space.dimension, rng)
     owner = np.tile(np.arange(given), pairings)
     z = proposal.sample(rng, len(owner))
-    repeated = [
-        Features(**{name: np.tile(value, pairings) for name, value in vars(f).items()})
-        for f in features
-    ]
+    repeated = [mapped(lambda values: np.tile(values, pairings), f) for f in features]
     log_weight = density(z, repeated) - proposal.log_density(z)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

@@ -47,7 +47,6 @@ def fold(
     beliefs: Beliefs,
     seed: int,
     size: int = 4_000,
-    pulse_shape: str = "first_order",
 ) -> HeldOut:
     """Predict one event. The others alone are passed on; of the event, rates, branch and date.
 
@@ -61,7 +60,7 @@ def fold(
     event = events[held_out]
     others = tuple(other for row, other in enumerate(events) if row != held_out)
     rng = np.random.default_rng(np.random.SeedSequence((seed, held_out)))
-    model = build_model(others, priors, pulse_shape=pulse_shape)
+    model = build_model(others, priors)
     physics, efficiency, k = importance_physics(model, rng, PHYSICS_DRAWS)
     learned = learn(model, others, physics, beliefs, rng, size)
     prediction = predict(learned, request_of(event), rng)
@@ -124,10 +123,8 @@ def skill(folds: Sequence[HeldOut]) -> dict[str, Skill]:
     """Skill by kind: the point prediction is the predictive median, intervals are central 90 %."""
     rows: dict[str, list[tuple[Array, Array]]] = {kind: [] for kind in KINDS}
     for held in folds:
-        draws, outcome = (
-            draws_by_kind(held.prediction),
-            outcome_by_kind(held.event, held.prediction.units),
-        )
+        draws = draws_by_kind(held.prediction)
+        outcome = outcome_by_kind(held.event, held.prediction.units)
         for kind in KINDS:
             if kind in draws and kind in outcome:
                 rows[kind].append((draws[kind], outcome[kind]))
@@ -136,14 +133,12 @@ def skill(folds: Sequence[HeldOut]) -> dict[str, Skill]:
 
 def _skill(pairs: list[tuple[Array, Array]]) -> Skill:
     difference = np.concatenate([np.median(draws, axis=0) - y for draws, y in pairs])
-    return Skill(
-        items=len(difference),
-        mean_absolute_difference=float(np.abs(difference).mean()),
-        bias=float(difference.mean()),
-        coverage=float(np.concatenate([covered(draws, y) for draws, y in pairs]).mean()),
-        interval_score=float(np.concatenate([interval_score(d, y) for d, y in pairs]).mean()),
-        crps=float(np.concatenate([crps(draws, y) for draws, y in pairs]).mean()),
+    coverage, score, ranked = (
+        float(np.concatenate([judge(draws, y) for draws, y in pairs]).mean())
+        for judge in (covered, interval_score, crps)
     )
+    distance = float(np.abs(difference).mean())
+    return Skill(len(difference), distance, float(difference.mean()), coverage, score, ranked)
 
 
 def column_difference(

@@ -21,11 +21,11 @@ from scipy.optimize import minimize
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.planning import expected_on_times, typical
 from cassini_bayes.prediction.predict import Prediction, predict
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import rates_rpm
 
 STEP_S: Final = 1.0  # of the time that wheels spend in the low-rpm zone
@@ -104,13 +104,7 @@ def cheapest_bias(
         An unknown objective; no wheel wanted or all of them; a rate beyond the limits, or a wanted
         one in the low-rpm zone.
     """
-    if objective not in OBJECTIVES:
-        raise InputError(
-            "--minimise",
-            f"one of {', '.join(OBJECTIVES)}",
-            repr(objective),
-            nearest(objective, OBJECTIVES),
-        )
+    check_known("--minimise", objective, OBJECTIVES)
     start = np.asarray(start_rpm, dtype=np.float64)
     _check_rates(wheels, start, wanted_rpm)
     one = typical(learned)
@@ -127,13 +121,13 @@ def cheapest_bias(
     for signs in product((-1.0, 1.0), repeat=len(free)):
         ends = _least(lambda ends: worth(_cost(one, request(ends))), np.array(signs))
         asked = request(ends)
-        choices.append(Choice(tuple(float(v) for v in asked.end_rpm), _cost(one, asked)))
+        choices.append(Choice(tuple(asked.end_rpm.tolist()), _cost(one, asked)))
     choices.sort(key=lambda choice: worth(choice.cost))
     best = BiasRequest("cheapest", wheels, start, np.array(choices[0].end_rpm))
     return CheapestBias(
         objective,
         wheels,
-        tuple(float(rate) for rate in start),
+        tuple(start.tolist()),
         tuple(choices),
         predict(learned, best, rng),
     )
@@ -152,13 +146,7 @@ def _check_rates(wheels: tuple[int, ...], start: Array, wanted: Mapping[int, flo
         if number not in wheels:
             raise InputError("--to", f"wheels {names}", f"wheel {number}", "leave it out")
     for key, rates in (("--from", start), ("--to", np.array(list(wanted.values())))):
-        if np.abs(rates).max() > WHEEL_LIMIT_RPM:
-            raise InputError(
-                key,
-                f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min",
-                f"{rates[np.abs(rates).argmax()]:g}",
-                "check them",
-            )
+        check_rates(key, rates)
     low = [rate for rate in wanted.values() if abs(rate) < LOW_RPM]
     if low:
         raise InputError(

@@ -14,12 +14,11 @@ from typing import Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from cassini_bayes.balance.physics import Modifier
 from cassini_bayes.balance.physics import Physics as BalancePhysics
 from cassini_bayes.balance.totals_system import NOISE, effective_on_times, steady_impulse
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, mapped
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
@@ -72,29 +71,10 @@ class Physics:
         """Thrust (n, K) that thrusters deliver on average: level times factor of effects."""
         return np.asarray(self.level_n * self.balance(model).thrust_factor)
 
-    def at(self, index: NDArray[np.int64]) -> Physics:
-        """The draws of the given indices."""
-        return Physics(
-            {
-                name: value[index] if np.ndim(value) else value
-                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
-            },
-            self.thrust_n[index],
-            self.level_n[index],
-            self.software[index],
-        )
-
     def at_mean(self) -> Physics:
         """Every draw replaced by the mean of all: the physics as if it were known."""
-        return Physics(
-            {
-                name: np.full_like(value, np.mean(value)) if np.ndim(value) else value
-                for name, value in ((k, np.asarray(v)) for k, v in self.parameters.items())
-            },
-            np.broadcast_to(self.thrust_n.mean(0), self.thrust_n.shape),
-            np.broadcast_to(self.level_n.mean(0), self.level_n.shape),
-            np.broadcast_to(self.software.mean(0), self.software.shape),
-        )
+        result: Physics = mapped(lambda draws: np.broadcast_to(draws.mean(0), draws.shape), self)
+        return result
 
 
 def importance_physics(
@@ -187,24 +167,17 @@ def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
 
 
 def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path: Path) -> Physics:
-    parameters: dict[str, Array | float] = {
-        **model.space.fixed,
-        **model.idle,
-    }
-    inertia = {
-        wheel.inertia_parameter: wheels.index(wheel.name)
-        for wheel in model.spacecraft.wheels
-        if wheel.name in wheels
-    }
+    parameters: dict[str, Array | float] = {**model.space.fixed, **model.idle}
+    if "rwa_inertia_kg_m2" in values:
+        spins = dict(zip(wheels, values["rwa_inertia_kg_m2"].T, strict=True))
+        named = [wheel for wheel in model.spacecraft.wheels if wheel.name in spins]
+        values = {**{wheel.inertia_parameter: spins[wheel.name] for wheel in named}, **values}
     for name in model.space.names:
-        if name in values:
-            parameters[name] = values[name]
-        elif name in inertia and "rwa_inertia_kg_m2" in values:
-            parameters[name] = values["rwa_inertia_kg_m2"][:, inertia[name]]
-        else:
+        if name not in values:
             raise InputError(
                 str(path), f"draws of {name}", "none", "name the priors file of the fit (--priors)"
             )
+        parameters[name] = values[name]
     size = len(values["thrust_level_n"])
     software = np.zeros((size, 2))
     if model.totals_rows.computed is not None:
@@ -212,24 +185,20 @@ def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path
     return Physics(parameters, values["thrust_n"], values["thrust_level_n"], software)
 
 
-@dataclass(frozen=True)
-class Wheels:
-    """Momentum per rev/min of every wheel in file order (n, 3, W), N m s per rev/min."""
-
-    momentum_per_rpm: Array
-
-    def of(self, model: Model, wheels: tuple[int, ...], rates_rpm: Array) -> Array:
-        """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
-        numbers = [wheel.number for wheel in model.spacecraft.wheels]
-        columns = [numbers.index(n) for n in wheels]
-        momentum = self.momentum_per_rpm[:, :, columns]
-        return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
-
-
-def wheels_of(model: Model, physics: Physics) -> Wheels:
-    """Wheel momentum at every draw."""
+def momentum_per_rpm(model: Model, physics: Physics, wheels: tuple[int, ...] = ()) -> Array:
+    """Momentum (n, 3, W), N m s per rev/min, of wheels by number, or of all in file order."""
     weights = physics.balance(model).wheel_weights * RAD_S_PER_RPM
-    return Wheels(np.broadcast_to(weights, (physics.size, *weights.shape[-2:])))
+    each = np.broadcast_to(weights, (physics.size, *weights.shape[-2:]))
+    numbers = [wheel.number for wheel in model.spacecraft.wheels]
+    return each[:, :, [numbers.index(n) for n in wheels]] if wheels else each
+
+
+def wheel_momentum(
+    model: Model, physics: Physics, wheels: tuple[int, ...], rates_rpm: Array
+) -> Array:
+    """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
+    momentum = momentum_per_rpm(model, physics, wheels)
+    return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
 
 
 def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) -> Array:
@@ -268,7 +237,7 @@ def demand_of(
     That is the wheels' change less what a steady torque of the fit's effects gives, which acts all
     the time. ``ends_rpm`` are the rates (W,) at start and end, ``duration_s`` is (n,) or one.
     """
-    changes = wheels_of(model, physics).of(model, wheels, segments_rpm(manager, wheels, *ends_rpm))
+    changes = wheel_momentum(model, physics, wheels, segments_rpm(manager, wheels, *ends_rpm))
     times = piece_times_s(manager, wheels, ends_rpm[1] - ends_rpm[0])
     lasts = np.broadcast_to(np.asarray(duration_s, dtype=np.float64), (physics.size,))
     each = lasts[:, None] * np.diff(times) / times[-1]

@@ -22,24 +22,24 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.balance.totals_terms import hold_attitude_covariance, hold_rate_covariance
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, mapped, picked
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.firing import mean_firing
-from cassini_bayes.prediction.ground_knowledge import GRAVITY_M_S2, group_impulse
+from cassini_bayes.prediction.ground_knowledge import group_impulse, hydrazine_g
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
     Physics,
     arms_of,
     demand_of,
     features_of,
+    momentum_per_rpm,
     solver_of,
     stretch,
-    wheels_of,
 )
 from cassini_bayes.prediction.predict import on_times_of
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import duration_s
 
 LEVEL: Final = "thrust_level_"
@@ -108,19 +108,17 @@ def quantities(learned: Learned) -> dict[str, Array]:
     }
     result["thrust_mean_n"] = physics.level_n.mean(1)
     kappa = stretch(learned.model, physics, learned.pulses.coefficients[:, 0])
-    delivered = physics.delivered_n(learned.model)
-    for k, name in enumerate(learned.model.thrusters):
-        result[f"impulse_per_on_time_{name}_n"] = delivered[:, k] * kappa[:, k]
-    for name in learned.model.space.names:
-        result[name] = np.asarray(physics.parameters[name])
-    return result
+    impulses = physics.delivered_n(learned.model) * kappa
+    for name, impulse in zip(learned.model.thrusters, impulses.T, strict=True):
+        result[f"impulse_per_on_time_{name}_n"] = impulse
+    walked = {name: np.asarray(physics.parameters[name]) for name in learned.model.space.names}
+    return result | walked
 
 
 def quantity_draws(learned: Learned, name: str) -> Array:
     """Draws of a named quantity; InputError with the nearest name."""
     known = quantities(learned)
-    if name not in known:
-        raise InputError("--quantity", "a quantity of the fit", repr(name), nearest(name, known))
+    check_known("--quantity", name, known, "a quantity of the fit")
     return known[name]
 
 
@@ -156,26 +154,19 @@ def plan(
     """
     draws = quantity_draws(learned, quantity)
     start = np.asarray(start_rpm, dtype=np.float64)
-    if np.abs(start).max() > WHEEL_LIMIT_RPM:
-        worst = float(start[np.abs(start).argmax()])
-        raise InputError(
-            "--from", f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min", f"{worst:g}", "check them"
-        )
+    check_rates("--from", start)
     if budget_g is not None and learned.hydrazine is None:
         raise InputError(
             "--budget", "a fit whose events print hydrazine", "one without", "leave it out"
         )
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
-    result = []
-    for ends in product(*(_ends_of_wheel(rate, levels) for rate in start)):
-        end = np.array(ends)
-        if np.all(end == start):
-            continue
-        request = BiasRequest("candidate", wheels, start, end)
-        candidate = judge.candidate(one, request)
-        if budget_g is None or candidate.hydrazine_g <= budget_g:
-            result.append(candidate)
+    candidates = (
+        judge.candidate(one, BiasRequest("candidate", wheels, start, np.array(ends)))
+        for ends in product(*(_ends_of_wheel(rate, levels) for rate in start))
+        if not np.all(np.array(ends) == start)
+    )
+    result = [c for c in candidates if budget_g is None or c.hydrazine_g <= budget_g]
     if not result:
         raise InputError(
             "--budget", "enough hydrazine for one candidate", f"{budget_g:g} g", "raise it"
@@ -185,7 +176,7 @@ def plan(
         quantity,
         float(draws.mean()),
         float(draws.std()),
-        tuple(float(rate) for rate in start),
+        tuple(start.tolist()),
         wheels,
         tuple(result),
     )
@@ -194,13 +185,9 @@ def plan(
 def typical(learned: Learned) -> Learned:
     """The same knowledge as a single draw at its mean: for expected on-times."""
     one = np.zeros(1, dtype=np.int64)
-    physics = learned.physics.at_mean().at(one)
+    physics = picked(learned.physics.at_mean(), one)
     firing = {name: np.full(1, np.mean(value)) for name, value in learned.firing.items()}
-    pulses = replace(
-        learned.pulses,
-        coefficients=learned.pulses.coefficients.mean(0, keepdims=True),
-        scale_square=learned.pulses.scale_square.mean(keepdims=True),
-    )
+    pulses = mapped(lambda draws: draws.mean(0, keepdims=True), learned.pulses)
     return replace(learned, physics=physics, firing=firing, pulses=pulses)
 
 
@@ -223,12 +210,10 @@ class _Judge:
     @staticmethod
     def of(learned: Learned, draws: Array, wheels: tuple[int, ...]) -> _Judge:
         model, physics = learned.model, learned.physics
-        numbers = [wheel.number for wheel in model.spacecraft.wheels]
-        columns = [numbers.index(number) for number in wheels]
         kappa = stretch(model, physics, learned.pulses.coefficients[:, 0])
         arms = arms_of(model, physics) * kappa[:, None, :]
         torque = arms * physics.delivered_n(model)[:, None, :]
-        momentum = wheels_of(model, physics).momentum_per_rpm[:, :, columns]
+        momentum = momentum_per_rpm(model, physics, wheels)
         t, w, q = torque - torque.mean(0), momentum - momentum.mean(0), draws - draws.mean()
         n, p = len(draws), physics.parameters
         inertia = physics.balance(model).inertia_kg_m2
@@ -254,7 +239,7 @@ class _Judge:
         change = request.end_rpm - request.start_rpm
         rho = self.correlation_square(on_time, change, request.start_rpm, request.end_rpm)
         return Candidate(
-            end_rpm=tuple(float(rate) for rate in request.end_rpm),
+            end_rpm=tuple(request.end_rpm.tolist()),
             information_nats=float(-0.5 * np.log1p(-rho)),
             sd_after=float(np.sqrt(self.variance * (1.0 - rho))),
             hydrazine_g=grams,
@@ -305,8 +290,8 @@ def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> f
         return float("nan")
     effective = on_time * stretch(typical.model, physics, rate)
     total, couple = group_impulse(typical.layout, physics.delivered_n(typical.model), effective)
-    beta = typical.hydrazine.coefficients.mean(0)
-    return float(1e3 / GRAVITY_M_S2 * (total[0] * beta[0] + couple[0] * beta[1]) + beta[2])
+    mean = typical.hydrazine.coefficients.mean(0, keepdims=True)
+    return float(hydrazine_g(mean, total, couple)[0])
 
 
 def plan_dictionary(found: Plan, top: int) -> dict[str, Any]:

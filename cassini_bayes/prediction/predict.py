@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 
@@ -20,12 +20,18 @@ from cassini_bayes.prediction.demand import PairSolver
 from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (
     DURATION_SD_S,
-    GRAVITY_M_S2,
     group_impulse,
+    hydrazine_g,
     hydrazine_variance,
 )
 from cassini_bayes.prediction.learning import Learned
-from cassini_bayes.prediction.physics import demand_of, features_of, solver_of, wheels_of
+from cassini_bayes.prediction.physics import (
+    demand_of,
+    features_of,
+    momentum_per_rpm,
+    solver_of,
+    wheel_momentum,
+)
 from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
@@ -34,13 +40,7 @@ from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 Source = Literal[
     "limit cycle", "rates at the ends", "thrust and geometry", "thrust of the event", "on-board ΔV"
 ]
-SOURCES: Final[tuple[Source, ...]] = (
-    "limit cycle",
-    "rates at the ends",
-    "thrust and geometry",
-    "thrust of the event",
-    "on-board ΔV",
-)
+SOURCES: Final[tuple[Source, ...]] = get_args(Source)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _firings(
     rates = (request.start_rpm, request.end_rpm)
     demand = demand_of(model, physics, learned.manager, request.wheels, rates, duration)
     features = features_of(model, solver, demand, duration)
-    ends = wheels_of(model, physics).of(model, request.wheels, np.stack(rates))
+    ends = wheel_momentum(model, physics, request.wheels, np.stack(rates))
     impulse = demand.sum(1)
     noise = _momentum_noise(learned, request, ends, duration, streams[0])
     if "rates at the ends" not in hold:
@@ -190,7 +190,7 @@ def _momentum_noise(
     attitude = np.asarray(p["hold_attitude_rad"])
     covariance = covariance + hold_attitude_covariance(start, end, attitude)[:, 0]
     prime = np.array([[w.number in request.wheels for w in model.spacecraft.wheels]])
-    per_rpm = wheels_of(model, learned.physics).momentum_per_rpm
+    per_rpm = momentum_per_rpm(model, learned.physics)
     unit = np.full(per_rpm.shape[-1], RPM_PER_RAD_S)
     step = np.asarray(p["wheel_resolution_rpm"])
     covariance = covariance + wheel_rounding_covariance(per_rpm, unit, prime, step)[:, 0]
@@ -278,8 +278,6 @@ def _hydrazine(
     if learned.hydrazine is None:
         return None
     total, couple = group_impulse(learned.layout, thrust, effective)
-    beta = learned.hydrazine.coefficients
-    grams = 1e3 / GRAVITY_M_S2 * (total * beta[:, 0] + couple * beta[:, 1]) + beta[:, 2]
-    grams = np.maximum(grams, 0.0)
+    grams = np.maximum(hydrazine_g(learned.hydrazine.coefficients, total, couple), 0.0)
     spread = np.sqrt(learned.hydrazine.scale_square * hydrazine_variance(grams))
     return np.asarray(np.maximum(grams + spread * rng.standard_normal(learned.size), 0.0))

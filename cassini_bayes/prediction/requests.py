@@ -15,7 +15,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.cells import read_rows
-from cassini_bayes.files.checks import in_utc, nearest
+from cassini_bayes.files.checks import check_known, in_utc
 from cassini_bayes.spacecraft import Spacecraft
 
 WHEEL_LIMIT_RPM: Final = 2000.0
@@ -69,9 +69,7 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
         if result is None:
             raise InputError(where, "wheel: start -> end in rev/min", repr(part.strip()), _FORM)
         name, start, end = result[1], float(result[2]), float(result[3])
-        if name not in names:
-            known = ", ".join(names)
-            raise InputError(where, f"a wheel out of {known}", repr(name), nearest(name, names))
+        check_known(where, name, names, f"a wheel out of {', '.join(names)}")
         if names[name] in rates:
             raise InputError(where, "every wheel once", f"{name} twice", "drop one of the two")
         rates[names[name]] = (start, end)
@@ -165,6 +163,20 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
             request = replace(request, quaternion=parse_quaternion(text, row.where("q1")))
         result.append(request)
     return tuple(result)
+
+
+def check_rates(where: str, rates_rpm: Array) -> None:
+    """Refuse rates beyond the wheels' limit.
+
+    Raises
+    ------
+    InputError
+        The fastest of them is named.
+    """
+    fastest = rates_rpm[np.abs(rates_rpm).argmax()]
+    if abs(fastest) > WHEEL_LIMIT_RPM:
+        expected = f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min"
+        raise InputError(where, expected, f"{fastest:g}", "check them")
 
 
 def check_request(

@@ -26,7 +26,7 @@ from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.model.totals import DeltaVUse
-from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
+from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -114,8 +114,8 @@ def read_sources(
     folders = (Path(name) for name in references if is_event_folder(Path(name)))
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
     files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
-    each = [*(event.wheels for event in printed), *(event.wheels for event in recordings)]
-    wheels = {number for wheels_of in each for number in wheels_of}
+    wheels = {n for event in printed for n in event.wheels}
+    wheels |= {n for event in recordings for n in event.wheels}
     effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
     pulse_shape = str(model_table.get("pulse_shape", "first_order"))
     delta_v = model_table.get("delta_v", "as-declared")
@@ -210,13 +210,11 @@ def learn_from_fit(
     fit: Path | Fit,
     sources: Sources,
     seed: int,
-    beliefs: Beliefs | None = None,
-    size: int = FIT_DRAWS,
 ) -> Learned:
     """Condition prediction on a fit and the events behind it."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0)))
-    physics = physics_of_fit(sources.model, fit, rng, size)
-    return learn(sources.model, sources.events, physics, beliefs or read_beliefs(), rng, size)
+    physics = physics_of_fit(sources.model, fit, rng, FIT_DRAWS)
+    return learn(sources.model, sources.events, physics, read_beliefs(), rng, FIT_DRAWS)
 
 
 def _resolved(folder: Path) -> dict[str, Any]:

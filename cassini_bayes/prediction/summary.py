@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +15,6 @@ from cassini_bayes.prediction.predict import Prediction
 
 INTERVAL: Final = "90 % central"
 _QUANTILES: Final = (0.05, 0.5, 0.95)
-_HEADER: Final = ("bias", "quantity", "unit", "mean", "sd", "median", "low_90", "high_90")
 
 
 def body_to_inertial(quaternion: ArrayLike) -> Array:
@@ -90,10 +89,7 @@ def as_dictionary(prediction: Prediction) -> dict[str, Any]:
         "interval": INTERVAL,
         "draws": len(prediction.duration_s),
         "predicted": {
-            line.quantity: {
-                key: getattr(line, key)
-                for key in ("unit", "mean", "sd", "median", "low_90", "high_90")
-            }
+            line.quantity: {key: value for key, value in vars(line).items() if key != "quantity"}
             for line in lines(prediction)
         },
     }
@@ -101,13 +97,11 @@ def as_dictionary(prediction: Prediction) -> dict[str, Any]:
 
 def as_csv(predictions: Sequence[Prediction]) -> str:
     """CSV text, one row per bias and scalar; the interval is the central 90 % one."""
-    rows: list[Sequence[object]] = [_HEADER]
+    rows: list[Sequence[object]] = [("bias", *(field.name for field in fields(Line)))]
     for prediction in predictions:
         for line in lines(prediction):
-            values = (line.mean, line.sd, line.median, line.low_90, line.high_90)
-            rows.append(
-                [prediction.request.id, line.quantity, line.unit, *(f"{v:.6g}" for v in values)]
-            )
+            quantity, unit, *values = vars(line).values()
+            rows.append([prediction.request.id, quantity, unit, *(f"{v:.6g}" for v in values)])
     return rows_csv(rows)
 
 

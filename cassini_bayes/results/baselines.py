@@ -30,15 +30,17 @@ POOLED: Final = "pseudo-inverse, pooled"
 MEAN: Final = "mean of all thrusters, per event"
 
 # Paper 003 §IV. Inertia does not act on totals rows: they have no rates.
-MOMENTS: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
-MOMENT_PERTURBATION: Final = 0.05
-PRODUCT_PERTURBATION: Final = 0.50
-RELATIVE_PERTURBATIONS: Final[Mapping[str, float]] = {
+PERTURBED_BLOCKS: Final[Mapping[str, float]] = {
     "centre of mass": 0.10,
     "geometry": 0.01,
     "wheel inertia": 0.01,
+    "inertia": 0.50,  # products
 }
-TAU_FALL_PERTURBATION: Final = 0.10
+PERTURBED: Final[Mapping[str, float]] = {
+    **{f"inertia_{axis}{axis}_kg_m2": 0.05 for axis in "xyz"},
+    "tau_fall_s": 0.10,
+}
+"""Shares of single parameters, in place of those of their blocks."""
 ALIGNMENT_PERTURBATION_RAD: Final = 0.01  # 1 % of the column of T
 
 
@@ -113,15 +115,11 @@ def perturbed(
     points = []
     for name, value in nominal.items():
         block = specs[name].block
-        if block == "inertia":
-            share = MOMENT_PERTURBATION if name in MOMENTS else PRODUCT_PERTURBATION
-            points.append({**nominal, name: value * (1.0 + share)})
-        elif block in RELATIVE_PERTURBATIONS:
-            points.append({**nominal, name: value * (1.0 + RELATIVE_PERTURBATIONS[block])})
-        elif block == "wheel alignment":
+        share = PERTURBED.get(name, PERTURBED_BLOCKS.get(block))
+        if block == "wheel alignment":
             points.append({**nominal, name: value + ALIGNMENT_PERTURBATION_RAD})
-        elif name == "tau_fall_s":
-            points.append({**nominal, name: value * (1.0 + TAU_FALL_PERTURBATION)})
+        elif share is not None:
+            points.append({**nominal, name: value * (1.0 + share)})
     return points
 
 

@@ -15,7 +15,7 @@ from cassini_bayes.model.posterior import Model, build_model, log_posterior
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.record import Fit
-from cassini_bayes.results.tables import hdi
+from cassini_bayes.results.tables import by_event, described
 from cassini_bayes.sampling.warmstart import TRUSTED_K, warm_start
 
 USES: Final[Mapping[DeltaVUse, str]] = {
@@ -57,16 +57,7 @@ def thrusts_by_delta_v_use(
 
 def _table(name: str, model: Model, thrust_n: Array) -> pd.DataFrame:
     """Thrusts (n, E, K) of the totals rows under one use."""
-    low, high = hdi(thrust_n)
     events = model.event_ids[: thrust_n.shape[1]]
-    return pd.DataFrame(
-        {
-            "variant": name,
-            "event": np.repeat(events, len(model.thrusters)),
-            "thruster": np.tile(model.thrusters, len(events)),
-            "mean_n": thrust_n.mean(0).reshape(-1),
-            "sd_n": thrust_n.std(0, ddof=1).reshape(-1),
-            "hdi_90_low_n": low.reshape(-1),
-            "hdi_90_high_n": high.reshape(-1),
-        }
-    )
+    table = by_event(events, "thruster", model.thrusters, described(thrust_n, "n"))
+    table.insert(0, "variant", name)
+    return table

@@ -14,6 +14,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_parts, in_processes
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model, log_posterior
@@ -30,9 +31,7 @@ from cassini_bayes.sampling.ensembles import (
 )
 from cassini_bayes.sampling.warmstart import (
     TRUSTED_K,
-    ImportanceDraws,
     LogDensity,
-    Proposal,
     WarmStart,
     warm_start,
 )
@@ -41,6 +40,12 @@ _WARM_START, _LINEAR = 1, 2  # random streams of the stages, all from the one se
 SERIOUS_EXPANSION_ERROR: Final = 0.1  # nats: changes weights of draws by a tenth
 WALKED: Final = "walked"
 """Dimension of the statistics of walked parameters."""
+CONVERGENCE: Final = {
+    "tau_steps": ("tau_steps", "autocorrelation time, steps"),
+    "rhat": ("walked_rhat", "R-hat between independent ensembles"),
+    "ess": ("walked_ess", "effective sample size, the smaller of two estimates"),
+}
+"""Column of the table, variable of the record and meaning of the stop rule's figures."""
 ALL_MET: Final = "all criteria met"
 FALLBACK_INDEPENDENCE: Final = 0.2  # of the moves, where the proposal is poor (judgement)
 
@@ -177,14 +182,10 @@ def fit_model(
 
 def _with_convergence(fit: Fit, names: Sequence[str], convergence: Convergence) -> Fit:
     """The fit with the stop rule's figures of every walked parameter among its statistics."""
-    columns = {
-        "tau_steps": (convergence.autocorrelation_time, "autocorrelation time, steps"),
-        "walked_rhat": (convergence.rhat, "R-hat between independent ensembles"),
-        "walked_ess": (convergence.ess, "effective sample size, the smaller of two estimates"),
-    }
+    each = (convergence.autocorrelation_time, convergence.rhat, convergence.ess)
     variables = {
         name: labelled((WALKED,), values, "1", meaning)
-        for name, (values, meaning) in columns.items()
+        for values, (name, meaning) in zip(each, CONVERGENCE.values(), strict=True)
     }
     stats = fit.groups["sample_stats"].assign(variables).assign_coords({WALKED: list(names)})
     return Fit({**fit.groups, "sample_stats": stats}, fit.attributes)
@@ -247,15 +248,9 @@ def convergence_table(fit: Sampled | Fit) -> pd.DataFrame:
     """
     stats = (fit.fit if isinstance(fit, Sampled) else fit).groups["sample_stats"]
     if WALKED not in stats.coords:
-        return pd.DataFrame({"name": [], "tau_steps": [], "rhat": [], "ess": []})
-    return pd.DataFrame(
-        {
-            "name": stats[WALKED].values.astype(object),
-            "tau_steps": stats["tau_steps"].values,
-            "rhat": stats["walked_rhat"].values,
-            "ess": stats["walked_ess"].values,
-        }
-    )
+        return pd.DataFrame({"name": [], **{column: [] for column in CONVERGENCE}})
+    figures = {column: stats[name].values for column, (name, _) in CONVERGENCE.items()}
+    return pd.DataFrame({"name": stats[WALKED].values.astype(object), **figures})
 
 
 def _stream(seed: int, which: int) -> np.random.Generator:
@@ -278,41 +273,11 @@ def _warm_start(
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
     if stored is not None:
-        values = {key: np.asarray(array, dtype=np.float64) for key, array in stored.items()}
-        return WarmStart(
-            mode=values["mode"],
-            proposal=Proposal(values["location"], values["factor"], float(values["dof"])),
-            laplace_log_evidence=float(values["laplace_log_evidence"]),
-            draws=ImportanceDraws(
-                z=values["z"],
-                log_weights=values["log_weights"],
-                log_evidence=float(values["log_evidence"]),
-                log_evidence_se=float(values["log_evidence_se"]),
-                pareto_k=float(values["pareto_k"]),
-                efficiency=float(values["efficiency"]),
-            ),
-        )
-    rng = _stream(seed, _WARM_START)
-    warm = warm_start(density_of, dimension, rng)
-    if store is None:
-        return warm
-    draws = warm.draws
-    store.save(
-        "warmstart",
-        {
-            "mode": warm.mode,
-            "location": warm.proposal.location,
-            "factor": warm.proposal.factor,
-            "dof": np.array(warm.proposal.dof),
-            "laplace_log_evidence": np.array(warm.laplace_log_evidence),
-            "z": draws.z,
-            "log_weights": draws.log_weights,
-            "log_evidence": np.array(draws.log_evidence),
-            "log_evidence_se": np.array(draws.log_evidence_se),
-            "pareto_k": np.array(draws.pareto_k),
-            "efficiency": np.array(draws.efficiency),
-        },
-    )
+        kept: WarmStart = value_of(WarmStart, stored)
+        return kept
+    warm = warm_start(density_of, dimension, _stream(seed, _WARM_START))
+    if store is not None:
+        store.save("warmstart", arrays_of(warm))
     return warm
 
 

@@ -13,9 +13,16 @@ import numpy as np
 import xarray as xr
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.draws import Draws, draw, draw_prior, event_log_density
+from cassini_bayes.model.draws import (
+    DrawnTerm,
+    Draws,
+    draw,
+    draw_prior,
+    drawn_terms,
+    event_log_density,
+)
 from cassini_bayes.model.posterior import TORQUES, Model
-from cassini_bayes.model.terms import TORQUE, TermAt, TermDraws, Variable
+from cassini_bayes.model.terms import TORQUE, Variable
 from cassini_bayes.model.thrusts import normal_log_density, thrust_log_prior
 from cassini_bayes.results.record import AXES, Coordinates, Fit, dataset_of, labelled
 from cassini_bayes.results.replicates import channel_replicates
@@ -23,7 +30,6 @@ from cassini_bayes.results.replicates import channel_replicates
 DENSITY: Final = "event_data"
 """Log density of the data where the events are not all of one kind."""
 DENSITY_MEANING: Final = "log density of the event's data, everything else given"
-DrawnTerm = tuple[TermAt, Array, TermDraws]
 
 
 def build_fit(
@@ -76,23 +82,20 @@ def drawn_groups(
     ``shape`` (chains, draws) is that of ``draws``.
     """
     coordinates, before = coordinates_of(model), (1, prior.size)
-    terms, terms_before = _drawn_terms(model, draws), _drawn_terms(model, prior)
+    terms, terms_before = (
+        drawn_terms(model, model.points_at(given.parameters, given.size), given)
+        for given in (draws, prior)
+    )
     statistics = merged(model, [term.statistics(thrust) for term, thrust, _ in terms])
-    variables = {
-        "posterior": _posterior(model, draws, terms),
-        "posterior_predictive": _predictive(model, terms, rng),
-        "sample_stats": statistics,
-    }
-    variables_before = {
-        "prior": _posterior(model, prior, terms_before),
-        "prior_predictive": _predictive(model, terms_before, rng),
+    drawn = {
+        "posterior": (_posterior(model, draws, terms), shape),
+        "posterior_predictive": (_predictive(model, terms, rng), shape),
+        "sample_stats": (statistics, shape),
+        "prior": (_posterior(model, prior, terms_before), before),
+        "prior_predictive": (_predictive(model, terms_before, rng), before),
     }
     return {
-        **{name: dataset_of(variable, coordinates, shape) for name, variable in variables.items()},
-        **{
-            name: dataset_of(variable, coordinates, before)
-            for name, variable in variables_before.items()
-        },
+        **{name: dataset_of(own, coordinates, size) for name, (own, size) in drawn.items()},
         "observed_data": _dataset(model, [term.observed() for term in model.terms]),
         "constant_data": _constants(model),
     }
@@ -133,18 +136,6 @@ def merged(model: Model, parts: Sequence[Mapping[str, Variable]]) -> dict[str, V
     return result
 
 
-def _drawn_terms(model: Model, draws: Draws) -> list[DrawnTerm]:
-    """Every term at the draws, with its thrusts and what it has of its own."""
-    points = model.points_at(draws.parameters, draws.size)
-    thrust_n = draws.thrusts.thrust_n
-    return [
-        (term.at(points), thrust_n[:, fired], integrated)
-        for term, fired, integrated in zip(
-            model.terms, model.fired_of_term, draws.integrated, strict=True
-        )
-    ]
-
-
 def _posterior(model: Model, draws: Draws, terms: Sequence[DrawnTerm]) -> dict[str, Variable]:
     """Thrusts, torques, wheels, what terms have of their own, and the walked parameters."""
     torque = draws.torque_n_m
@@ -177,7 +168,9 @@ def _thrust_variables(
     """Thrusts of the events that fire; nothing where none does."""
     if not model.fires:
         return {}
-    thrusts = draws.thrusts
+    thrusts, steady = draws.thrusts, "steady thrust in the event"
+    level = "thruster's level over all events: common plus individual"
+    delivered = "impulse delivered per second of commanded on-time, tail-off included"
     stretch = np.concatenate([term.stretch for term, *_ in terms], axis=1)
     fired = [event.fires for event in model.events]
     each = ("event", "thruster")
@@ -188,20 +181,10 @@ def _thrust_variables(
         return full
 
     return {
-        "thrust_n": (each, spread(thrusts.thrust_n), "N", "steady thrust in the event"),
-        "thrust_level_n": (
-            ("thruster",),
-            thrusts.level_n,
-            "N",
-            "thruster's level over all events: common plus individual",
-        ),
+        "thrust_n": (each, spread(thrusts.thrust_n), "N", steady),
+        "thrust_level_n": (("thruster",), thrusts.level_n, "N", level),
         "thrust_common_n": ((), thrusts.common_n, "N", "common level of the branch"),
-        "impulse_per_on_time_n": (
-            each,
-            spread(thrusts.thrust_n * stretch),
-            "N",
-            "impulse delivered per second of commanded on-time, tail-off included",
-        ),
+        "impulse_per_on_time_n": (each, spread(thrusts.thrust_n * stretch), "N", delivered),
     }
 
 
@@ -217,23 +200,26 @@ def _log_prior(model: Model, z: Array, draws: Draws) -> dict[str, Variable]:
     """Log prior densities (n,) per block, walked and integrated out; a width of zero adds none."""
     torque = normal_log_density(draws.torque_n_m - model.torque_mean_n_m, model.torque_sd_n_m)
     thrust = thrust_log_prior(model.thrust_prior, draws.parameters, draws.thrusts)
-    added = [{"thrust": thrust}] if model.fires else []
-    added.append({"torque": torque.sum((-2, -1))})
-    added += [
-        dict(term.log_prior(integrated))
+    own = [
+        term.log_prior(integrated)
         for term, integrated in zip(model.terms, draws.integrated, strict=True)
     ]
     blocks = dict(model.space.log_prior_by_block(z))
-    for part in added:
+    for part in ({"thrust": thrust} if model.fires else {}, {"torque": torque.sum((-2, -1))}, *own):
         for block, values in part.items():
             blocks[block] = blocks[block] + values if block in blocks else values
+    return log_prior_variables(blocks)
+
+
+def block_variable(block: str) -> str:
+    """Variable of the record for the log prior density of a block."""
+    return block.replace(" ", "_").replace("-", "_")
+
+
+def log_prior_variables(blocks: Mapping[str, Array]) -> dict[str, Variable]:
+    """Log prior densities (n,) by block as quantities of the record."""
     return {
-        block.replace(" ", "_").replace("-", "_"): (
-            (),
-            values,
-            "1",
-            f"log prior density, block {block}",
-        )
+        block_variable(block): ((), values, "1", f"log prior density, block {block}")
         for block, values in blocks.items()
     }
 
@@ -243,22 +229,19 @@ def _dataset(model: Model, parts: Sequence[Mapping[str, Variable]]) -> xr.Datase
     variables, coordinates = merged(model, parts), coordinates_of(model)
     used = dict.fromkeys(dim for dims, *_ in variables.values() for dim in dims)
     return xr.Dataset(
-        {
-            name: labelled(dims, values, unit, meaning)
-            for name, (dims, values, unit, meaning) in variables.items()
-        },
+        {name: labelled(*variable) for name, variable in variables.items()},
         coords={dim: coordinates[dim] for dim in used},
     )
 
 
 def _constants(model: Model) -> xr.Dataset:
     """Known figures of the events, fixed parameters, prior means of the torque."""
-    scalars = {}
-    for name, value in model.space.fixed.items():
-        spec = model.specs[name]
-        scalars[name] = labelled((), value, spec.unit, spec.meaning)
+    scalars = {
+        name: labelled((), value, model.specs[name].unit, model.specs[name].meaning)
+        for name, value in model.space.fixed.items()
+    }
+    meaning = "prior mean of the steady external torque"
     for name, value in zip(TORQUES, model.torque_mean_n_m, strict=True):
-        meaning = "prior mean of the steady external torque"
         scalars[f"prior_mean_{name}"] = labelled((), value, "N m", meaning)
     kinds = [event.kind for event in model.events]
     known = _dataset(model, [term.constants() for term in model.terms])

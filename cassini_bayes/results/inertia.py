@@ -33,18 +33,12 @@ def inertia_draws(
 
 def inertia_table(with_wheels: Array, without: Array, prior: Array) -> pd.DataFrame:
     """Elements both ways: mean and sd of draws (n, 3, 3), and the prior's of the first kind."""
-    first, second, before = map(elements_of, (with_wheels, without, prior))
-    return pd.DataFrame(
-        {
-            "element": list(ELEMENTS),
-            "prior_mean_kg_m2": before.mean(0),
-            "prior_sd_kg_m2": before.std(0, ddof=1),
-            "mean_kg_m2": first.mean(0),
-            "sd_kg_m2": first.std(0, ddof=1),
-            "without_wheels_mean_kg_m2": second.mean(0),
-            "without_wheels_sd_kg_m2": second.std(0, ddof=1),
-        }
-    )
+    columns: dict[str, object] = {"element": list(ELEMENTS)}
+    for kind, tensors in (("prior_", prior), ("", with_wheels), ("without_wheels_", without)):
+        draws = elements_of(tensors)
+        columns[f"{kind}mean_kg_m2"] = draws.mean(0)
+        columns[f"{kind}sd_kg_m2"] = draws.std(0, ddof=1)
+    return pd.DataFrame(columns)
 
 
 def tensors_of(fit: Fit) -> tuple[Array, Array, Array]:

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.results.record import Coordinates, labelled
@@ -94,7 +94,7 @@ def channel_replicates(
     Additions to the groups ``posterior_predictive`` and ``observed_data``; none without telemetry.
     """
     shown = thinned_draws(len(z))
-    rows = balances(model, z[shown], draws.at(shown), REPLICATED_ROWS)
+    rows = balances(model, z[shown], picked(draws, shown), REPLICATED_ROWS)
     events = [replicated(row, rng) for row in rows]
     if not events:
         return {}
@@ -120,20 +120,16 @@ def channel_datasets(
         rate[0, place, :rows], rate[1:, place, :rows] = event.measured_rate_rad_s, event.rate_rad_s
         wheel[0, place, :rows, columns] = event.measured_wheel_rpm.T
         wheel[1:, place, :rows, columns] = np.moveaxis(event.wheel_rpm, -1, 0)
-    chain, draw = origin
     shared: dict[str, object] = {name: coordinates[name] for name in ("event", "wheel", "axis")}
     shared |= {"time_s": labelled(("event", "sample"), time, "s", "time since the event's epoch")}
-    own = {
-        "replicate_chain": labelled(("replicate",), chain, "1", "chain of the posterior draw"),
-        "replicate_draw": labelled(("replicate",), draw, "1", "draw of the posterior draw"),
-    }
     replicate = ("replicate",)
-    return {
-        "posterior_predictive": _channels(
-            rate[1:], wheel[1:], "replicated", replicate, {**shared, **own}
-        ),
-        "observed_data": _channels(rate[0], wheel[0], "measured", (), shared),
+    own = {
+        f"replicate_{what}": labelled(replicate, places, "1", f"{what} of the posterior draw")
+        for what, places in zip(("chain", "draw"), origin, strict=True)
     }
+    replicated = _channels(rate[1:], wheel[1:], "replicated", replicate, {**shared, **own})
+    measured = _channels(rate[0], wheel[0], "measured", (), shared)
+    return {"posterior_predictive": replicated, "observed_data": measured}
 
 
 def _channels(

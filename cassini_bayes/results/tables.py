@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -42,6 +42,31 @@ def hdi(draws: Array, probability: float = HDI_PROBABILITY) -> tuple[Array, Arra
     low = np.take_along_axis(ordered, first[None], axis=0)[0]
     high = np.take_along_axis(ordered, first[None] + inside, axis=0)[0]
     return low, high
+
+
+def described(draws: Array, unit: str = "") -> dict[str, Array]:
+    """Columns of draws (n, ...): mean, standard deviation, ends of the highest-density interval."""
+    low, high = hdi(draws)
+    behind = f"_{unit}" if unit else ""
+    return {
+        f"mean{behind}": np.asarray(draws.mean(0)),
+        f"sd{behind}": np.asarray(draws.std(0, ddof=1)),
+        f"hdi_90_low{behind}": low,
+        f"hdi_90_high{behind}": high,
+    }
+
+
+def by_event(
+    events: Sequence[str], item: str, names: Sequence[str], columns: Mapping[str, Array]
+) -> pd.DataFrame:
+    """Long table: one row per event and item of columns (E, I)."""
+    return pd.DataFrame(
+        {
+            "event": np.repeat(events, len(names)),
+            item: np.tile(names, len(events)),
+            **{name: values.reshape(-1) for name, values in columns.items()},
+        }
+    )
 
 
 def summarise(fit: Fit) -> pd.DataFrame:
@@ -106,8 +131,6 @@ def nuisance_table(model: Model, priors: Priors, z: Array) -> pd.DataFrame:
     sources |= {spec.name: effect.source for effect in model.effects for spec in effect.specs}
     for name, prior in zip(model.space.names, model.space.distributions, strict=True):
         spec = model.specs[name]
-        values = np.asarray(physical[name])
-        low, high = hdi(values)
         rows.append(
             {
                 "name": name,
@@ -117,10 +140,7 @@ def nuisance_table(model: Model, priors: Priors, z: Array) -> pd.DataFrame:
                 "source": sources[name],
                 "prior_mean": prior.mean(),
                 "prior_sd": prior.sd(),
-                "mean": values.mean(),
-                "sd": values.std(ddof=1),
-                "hdi_90_low": float(low),
-                "hdi_90_high": float(high),
+                **{k: float(v) for k, v in described(np.asarray(physical[name])).items()},
             }
         )
     return pd.DataFrame(rows).merge(table, on="name", validate="one_to_one")
@@ -156,20 +176,13 @@ def predictive_table(fit: Fit) -> pd.DataFrame:
     events, thrusters = replicate.coords["event"].values, replicate.coords["thruster"].values
     measured = fit.groups["observed_data"]["on_time_s"].sel(event=events).values
     draws = replicate.values.reshape(-1, *measured.shape)
-    low, high = hdi(draws)
     above = (draws > measured).mean(0)
-    return pd.DataFrame(
-        {
-            "event": np.repeat(events, len(thrusters)),
-            "thruster": np.tile(thrusters, len(events)),
-            "measured_s": measured.reshape(-1),
-            "mean_s": draws.mean(0).reshape(-1),
-            "sd_s": draws.std(0, ddof=1).reshape(-1),
-            "hdi_90_low_s": low.reshape(-1),
-            "hdi_90_high_s": high.reshape(-1),
-            "tail_probability": np.minimum(above, 1.0 - above).reshape(-1),
-        }
-    )
+    columns = {
+        "measured_s": measured,
+        **described(draws, "s"),
+        "tail_probability": np.minimum(above, 1.0 - above),
+    }
+    return by_event(events, "thruster", thrusters, columns)
 
 
 def balance_table(model: Model, fit: Fit, z: Array, series: Sequence[EventSeries]) -> pd.DataFrame:
@@ -193,16 +206,13 @@ def balance_table(model: Model, fit: Fit, z: Array, series: Sequence[EventSeries
 
 
 def _balance(ids: Sequence[str], left: Array, spread: Array, noise: Array) -> pd.DataFrame:
-    return pd.DataFrame(
-        {
-            "event": np.repeat(ids, 3),
-            "axis": np.tile(list("xyz"), len(ids)),
-            "residual_n_m_s": left.reshape(-1),
-            "sd_n_m_s": spread.reshape(-1),
-            "noise_sd_n_m_s": noise.reshape(-1),
-            "standardised": (left / noise).reshape(-1),
-        }
-    )
+    columns = {
+        "residual_n_m_s": left,
+        "sd_n_m_s": spread,
+        "noise_sd_n_m_s": noise,
+        "standardised": left / noise,
+    }
+    return by_event(ids, "axis", tuple("xyz"), columns)
 
 
 def delta_v_table(model: Model, fit: Fit) -> pd.DataFrame:
@@ -211,23 +221,21 @@ def delta_v_table(model: Model, fit: Fit) -> pd.DataFrame:
     ``computed_sd_mm_s`` is the spread of the computation itself, ``noise_sd_mm_s`` that of the
     printed figure about it.
     """
-    columns = ("event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s")
-    rows = pd.DataFrame(columns=list(columns))
-    for term in model.totals:
-        channel = term.computed
-        if channel is None:
-            continue
-        software = np.stack([fit.posterior[name].values.reshape(-1) for name in SOFTWARE], axis=-1)
-        computed = predicted_delta_v(channel, software) * MM_PER_M
-        values = (
-            np.array(term.event_ids)[channel.used],
-            channel.printed_m_s * MM_PER_M,
-            computed.mean(0),
-            computed.std(0, ddof=1),
-            fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M,
-        )
-        rows = pd.DataFrame(dict(zip(columns, values, strict=True)))
-    return rows
+    columns = ["event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s"]
+    channels = [term.computed for term in model.totals if term.computed is not None]
+    if not channels:
+        return pd.DataFrame(columns=columns)
+    (channel,) = channels
+    software = np.stack([fit.posterior[name].values.reshape(-1) for name in SOFTWARE], axis=-1)
+    computed = predicted_delta_v(channel, software) * MM_PER_M
+    values = (
+        np.array(model.totals_rows.event_ids)[channel.used],
+        channel.printed_m_s * MM_PER_M,
+        computed.mean(0),
+        computed.std(0, ddof=1),
+        fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M,
+    )
+    return pd.DataFrame(dict(zip(columns, values, strict=True)))
 
 
 def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -> pd.DataFrame:

@@ -23,7 +23,7 @@ import pandas as pd
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -48,10 +48,7 @@ MOST_ROWS: Final = 50_000
 
 @dataclass(frozen=True)
 class PlainRows:
-    """Rows on which all channels of an event were sampled; counters from their first reading on.
-
-    ``corrected_s`` (n, K) are pulses' effective on-times by paper 000's ratio, cumulative.
-    """
+    """Rows on which all channels of an event were sampled; counters from their first reading on."""
 
     time_s: Array  # (n,)
     attitude: Array  # (n, 3, 3) inertial to body
@@ -71,7 +68,7 @@ def plain_rows(event: ReducedEvent) -> PlainRows:
         rows = np.flatnonzero(whole)
         kept = rows[(-done) % every :: every]
         done += len(rows)
-        parts.append(Samples(*(getattr(samples, name)[kept] for name in _CHANNELS)))
+        parts.append(picked(samples, kept))
     rows_of = Samples.joined(parts)
     return PlainRows(
         rows_of.time_s,
@@ -81,9 +78,6 @@ def plain_rows(event: ReducedEvent) -> PlainRows:
         rows_of.on_time_s - rows_of.on_time_s[:1],
         rows_of.pulses - rows_of.pulses[:1],
     )
-
-
-_CHANNELS: Final = ("time_s", "attitude", "rate_rad_s", "wheel_rad_s", "on_time_s", "pulses")
 
 
 def thrust_methods(model: Model) -> pd.DataFrame:
@@ -103,10 +97,11 @@ def thrust_methods(model: Model) -> pd.DataFrame:
         columns = physics.arms_m[:, None] * data.on_time_s[:, None, :]
         gathered.append((gained, columns))
         couples = term.event.sampling.couples
+        paired = sorted(k for couple in couples if len(couple) > 1 for k in couple)
+        groups = {MEAN_OF_COUPLES: paired, MEAN: list(range(len(names)))}
         estimates = {
             PER_EVENT: individual_and_paired(columns, gained, couples),
-            MEAN_OF_COUPLES: mean_thrust(columns, gained, _paired(couples)),
-            MEAN: mean_thrust(columns, gained, range(columns.shape[-1])),
+            **{name: mean_thrust(columns, gained, group) for name, group in groups.items()},
         }
         on_time, pulses = data.on_time_s[-1], data.pulses[-1]
         factors = {
@@ -114,7 +109,7 @@ def thrust_methods(model: Model) -> pd.DataFrame:
             UNCORRECTED: np.ones((len(gained), len(on_time))),
             BY_R: ratio(data, batch),
         }
-        rows += _thrust_rows(names, term.id, estimates, factors, on_time, couples)
+        rows += _thrust_rows(names, term.id, estimates, factors, on_time, groups)
     if len(gathered) > 1:
         rows += _pooled(names, points, [term.event for term in fired], gathered)
     return pd.DataFrame(rows)
@@ -154,22 +149,14 @@ def torque_methods(model: Model) -> pd.DataFrame:
     estimate_n_m, bar_rss_n_m.
     """
     physics = assumed_points(model, model.space.centre()).physics(())
-    rows: list[dict[str, object]] = []
+    tables = []
     for term in model.telemetry:
-        if term.event.kind != "quiescent":
-            continue
-        torque = drift_torque(term, physics, plain_rows(term.event))
-        bars = np.sqrt(((torque[1:] - torque[0]) ** 2).sum(0))
-        for axis, name in enumerate("xyz"):
-            rows.append(
-                {
-                    "event": term.id,
-                    "axis": name,
-                    "estimate_n_m": torque[0, axis],
-                    "bar_rss_n_m": bars[axis],
-                }
-            )
-    return pd.DataFrame(rows)
+        if term.event.kind == "quiescent":
+            torque = drift_torque(term, physics, plain_rows(term.event))
+            bars = np.sqrt(((torque[1:] - torque[0]) ** 2).sum(0))
+            columns = {"estimate_n_m": torque[0], "bar_rss_n_m": bars}
+            tables.append(pd.DataFrame({"event": term.id, "axis": list("xyz"), **columns}))
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def drift_torque(term: TelemetryTerm, physics: Physics, data: PlainRows) -> Array:
@@ -206,7 +193,7 @@ def individual_and_paired(columns: Array, gained: Array, couples: Sequence[Seque
     return np.asarray(result[:, place])
 
 
-def mean_thrust(columns: Array, gained: Array, thrusters: Sequence[int] | range) -> Array:
+def mean_thrust(columns: Array, gained: Array, thrusters: Sequence[int]) -> Array:
     """One thrust for several thrusters (paper 000 eqs. 22-23), (n, K); NaN for the others.
 
     The rows of axes about which these thrusters have no torque say nothing and have no weight.
@@ -228,10 +215,6 @@ def _solve(columns: Array, target: Array) -> Array:
     right = np.swapaxes(design, 1, 2) @ target.reshape(n, -1, 1)
     normal = np.swapaxes(design, 1, 2) @ design
     return np.asarray((np.linalg.pinv(normal, hermitian=True) @ right)[..., 0])
-
-
-def _paired(couples: Sequence[Sequence[int]]) -> list[int]:
-    return sorted(k for couple in couples if len(couple) > 1 for k in couple)
 
 
 def ratio(data: PlainRows, parameters: Mapping[str, Array]) -> Array:
@@ -261,16 +244,15 @@ def _thrust_rows(
     estimates: Mapping[str, Array],
     factors: Mapping[str, Array],
     on_time: Array,
-    couples: Sequence[Sequence[int]],
+    groups: Mapping[str, Sequence[int]],
 ) -> list[dict[str, object]]:
-    """Table rows of one event; a mean over thrusters is divided by their mean factor."""
+    """Table rows of one event; a mean over a group of thrusters is divided by their mean factor."""
     rows: list[dict[str, object]] = []
-    groups = {MEAN: list(range(len(names))), MEAN_OF_COUPLES: _paired(couples)}
     for method, values in estimates.items():
         for suffix, factor in factors.items():
             seconds = on_time
             if method in groups:
-                members = groups[method]
+                members = list(groups[method])
                 weight = on_time[members]
                 shared = (factor[:, members] * weight).sum(-1) / max(float(weight.sum()), 1e-9)
                 factor = np.broadcast_to(shared[:, None], factor.shape)

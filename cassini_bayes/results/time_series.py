@@ -9,15 +9,17 @@ shows the body's own momentum ``I ω`` against what is left of the conserved tot
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain, pairwise
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.balance.open_counters import OpenScales, patterns_at, step_variances
-from cassini_bayes.balance.statistics import Carry, Samples, settle
+from cassini_bayes.balance.statistics import Carry, settle
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance, open_scales
@@ -177,22 +179,13 @@ def _rows(term: TelemetryTerm, most_rows: int) -> tuple[Rows, int]:
     every = max(1, -(-statistics.rows // most_rows))
     parts = []
     carry, done = Carry.start(statistics.layout), 0
-    for samples, final in _with_end(term.event.rows):
+    for samples, following in pairwise(chain(term.event.rows, [None])):
+        assert samples is not None  # only the last one is followed by nothing
+        final = following is None
         rows, carry = settle(samples, carry, statistics.layout, term.event.sampling, final)
         parts.append(rows.part(slice((-done) % every, None, every)))
         done += len(rows.time_s)
     return Rows.joined(parts), every
-
-
-def _with_end(samples: Iterable[Samples]) -> Iterator[tuple[Samples, bool]]:
-    """Every item with whether it is the last."""
-    previous: Samples | None = None
-    for item in samples:
-        if previous is not None:
-            yield previous, False
-        previous = item
-    if previous is not None:
-        yield previous, True
 
 
 def _both_sides(
@@ -207,20 +200,13 @@ def _both_sides(
         is_measured & (pattern.row >= layout.wheel.start) & (pattern.row < layout.wheel.stop)
     )
     initial = (owner >= places.initial.start) & (owner < places.initial.stop)
-    masks = {
-        "measured": is_measured,
-        "wheels": in_wheels,
-        "initial": initial,
-        "delivered": ~is_measured & ~initial,
-    }
-    sums = {
-        name: _applied(rows, layout.size, pattern.row, weights, factor[:, owner], mask)
-        for name, mask in masks.items()
-    }
+    applied = partial(_applied, rows, layout.size, pattern.row, weights, factor[:, owner])
+    measured, conserved = applied(is_measured), applied(initial)
+    delivered = applied(~is_measured & ~initial)
     if balance.fires:
-        return sums["measured"] - sums["initial"], sums["delivered"]
-    body = sums["measured"] - sums["wheels"]
-    return body, sums["initial"] + sums["delivered"] - sums["wheels"]
+        return measured - conserved, delivered
+    wheels = applied(in_wheels)
+    return measured - wheels, conserved + delivered - wheels
 
 
 def _series(balance: BalanceRows) -> EventSeries:

@@ -32,6 +32,8 @@ MAX_RHAT: Final = 1.01  # of rank-normalised R̂ (Vehtari et al. 2021)
 GROWTH: Final = 1.25  # length at a check over that at the last: few checks, little overshoot
 START_ATTEMPTS: Final = 100
 FEWEST_STEPS: Final = 8
+_RANDOM: Final = ("random_key", "random_position", "random_has_gauss", "random_gauss")
+"""Arrays of the state of a Mersenne Twister, in the order of numpy."""
 
 
 @dataclass(frozen=True)
@@ -149,16 +151,7 @@ def check_convergence(
     per_walker = np.moveaxis(kept, 2, 1).reshape(m * walkers, -1, d)
     from_emcee = kept.shape[0] * kept.shape[1] * walkers / tau
     between = np.array([float(arviz().rhat(flat[:, :, j])) for j in range(d)])
-    sizes = np.array(
-        [
-            min(
-                float(arviz().ess(per_walker[:, :, j], method="bulk")),
-                float(arviz().ess(per_walker[:, :, j], method="tail")),
-                from_emcee[j],
-            )
-            for j in range(d)
-        ]
-    )
+    sizes = np.array([min(*_ess(per_walker[:, :, j]), from_emcee[j]) for j in range(d)])
     change = np.inf if previous_tau is None else float(np.max(np.abs(tau / previous_tau - 1.0)))
     length = kept.shape[1]
     failed = []
@@ -186,16 +179,18 @@ def stored_ess(draws: Array, walkers: int) -> tuple[float, float]:
     before the same walker comes round again; so each walker is also taken as a chain of its own,
     and the smaller of the two counts (where there are steps enough to tell).
     """
-    ess = arviz().ess
     m, n = draws.shape
     if n < FEWEST_STEPS * walkers:
-        return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))
+        return _ess(draws)
     per_walker = draws.reshape(m, n // walkers, walkers).transpose(0, 2, 1).reshape(m * walkers, -1)
-    bulk, tail = (
-        min(float(ess(draws, method=method)), float(ess(per_walker, method=method)))
-        for method in ("bulk", "tail")
-    )
+    bulk, tail = map(min, _ess(draws), _ess(per_walker))
     return bulk, tail
+
+
+def _ess(draws: Array) -> tuple[float, float]:
+    """Bulk and tail effective sample size of chains (M, n), as ArviZ has them."""
+    ess = arviz().ess
+    return float(ess(draws, method="bulk")), float(ess(draws, method="tail"))
 
 
 def next_check(step: int) -> int:
@@ -270,14 +265,8 @@ def sample(
             fresh_seconds += time.monotonic() - began
         if progress:
             per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
-            progress(
-                ProgressReport(
-                    step,
-                    convergence.steps_left,
-                    convergence.steps_left * per_step,
-                    convergence.failed,
-                )
-            )
+            left = convergence.steps_left
+            progress(ProgressReport(step, left, left * per_step, convergence.failed))
         chains = Chains(
             z, np.concatenate(densities, axis=1), accepted / (step * walkers), convergence
         )
@@ -311,10 +300,7 @@ def _ensemble(
     share = settings.independence_share
 
     def independent(coordinates: Array, random: np.random.RandomState) -> tuple[Array, Array]:
-        new = proposal.transform(
-            random.standard_normal(coordinates.shape),
-            random.chisquare(proposal.dof, len(coordinates)),
-        )
+        new = proposal.sample(random, len(coordinates))
         return new, proposal.log_density(coordinates) - proposal.log_density(new)
 
     moves = [
@@ -342,10 +328,7 @@ def _start(
         outside = np.flatnonzero(values == -np.inf)
         if not len(outside):
             break
-        z[outside] = proposal.transform(
-            random.standard_normal((len(outside), z.shape[1])),
-            random.chisquare(proposal.dof, len(outside)),
-        )
+        z[outside] = proposal.sample(random, len(outside))
         values[outside] = log_density(z[outside])
     else:
         raise CassiniBayesError(
@@ -366,26 +349,21 @@ def _advance(
     walkers, d = state.coords.shape
     sampler = _ensemble(log_density, proposal, walkers, d, settings)
     end = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
-    return (
-        end,
-        sampler.get_chain(),
-        sampler.get_log_prob(),
-        float(sampler.backend.accepted.sum()),
-    )
+    accepted = float(sampler.backend.accepted.sum())
+    return end, sampler.get_chain(), sampler.get_log_prob(), accepted
 
 
 def _pack(
     states: list[emcee.State], results: list[tuple[emcee.State, Array, Array, float]]
 ) -> dict[str, NDArray[np.generic]]:
-    random = [state.random_state for state in states]
     return {
         "z": np.stack([result[1] for result in results]),
         "log_density": np.stack([result[2] for result in results]),
         "accepted": np.array([result[3] for result in results]),
-        "random_key": np.stack([np.asarray(r[1], dtype=np.uint32) for r in random]),
-        "random_position": np.array([r[2] for r in random], dtype=np.int64),
-        "random_has_gauss": np.array([r[3] for r in random], dtype=np.int64),
-        "random_gauss": np.array([r[4] for r in random], dtype=np.float64),
+        **{
+            name: np.array([state.random_state[place] for state in states])
+            for place, name in enumerate(_RANDOM, start=1)
+        },
     }
 
 
@@ -395,13 +373,7 @@ def _unpack(arrays: Mapping[str, NDArray[np.generic]]) -> list[emcee.State]:
         emcee.State(
             z[i, -1],
             log_prob=log_density[i, -1],
-            random_state=(
-                "MT19937",
-                arrays["random_key"][i],
-                int(arrays["random_position"][i]),
-                int(arrays["random_has_gauss"][i]),
-                float(arrays["random_gauss"][i]),
-            ),
+            random_state=("MT19937", *(arrays[name][i] for name in _RANDOM)),
         )
         for i in range(len(z))
     ]

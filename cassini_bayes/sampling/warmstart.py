@@ -33,6 +33,7 @@ WHITENED_STEP: Final = 0.25  # standard deviations
 WHITENED_GRADIENT_STEP: Final = 0.01
 WHITENED_PASSES: Final = 4  # at most: mode and curvature in turn, until they settle
 WHITENED_LEAST_CURVATURE: Final = 1e-2  # a pass may widen a direction tenfold
+PROPOSAL_DOF: Final = 15.0
 SETTLED: Final = 0.1  # of a curvature: widths are then good to a twentieth
 ROUGH, FINE = 2e-9, 1e-13  # L-BFGS, relative to the log density: before and with whitened axes
 
@@ -45,16 +46,11 @@ class Proposal:
     factor: Array
     dof: float
 
-    def transform(self, normals: Array, chi_square: Array) -> Array:
-        """Student-t draws (n, d) from standard normals (n, d) and χ²_dof draws (n,)."""
-        scale = np.sqrt(self.dof / chi_square)[:, None]
-        return np.asarray(self.location + scale * (normals @ self.factor.T))
-
-    def sample(self, rng: np.random.Generator, n: int) -> Array:
+    def sample(self, rng: np.random.Generator | np.random.RandomState, n: int) -> Array:
         """n draws, shape (n, d)."""
-        return self.transform(
-            rng.standard_normal((n, len(self.location))), rng.chisquare(self.dof, n)
-        )
+        normals = rng.standard_normal((n, len(self.location)))
+        scale = np.sqrt(self.dof / rng.chisquare(self.dof, n))[:, None]
+        return np.asarray(self.location + scale * (normals @ self.factor.T))
 
     def log_density(self, z: Array) -> Array:
         """Log density at z (n, d), shape (n,)."""
@@ -251,7 +247,7 @@ def warm_start(
     d: int,
     rng: np.random.Generator,
     *,
-    dof: float = 15.0,
+    dof: float = PROPOSAL_DOF,
     pilots: int = 2,
     draws: int = 4_000,
 ) -> WarmStart:

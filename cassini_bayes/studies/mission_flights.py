@@ -28,7 +28,7 @@ from cassini_bayes.model.mission.model import BranchAt, BranchThrusts, MissionMo
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.mission.fitting import Losses, fit_mission, loss_prior
+from cassini_bayes.results.mission.fitting import EarlierDraws, Losses, fit_mission, loss_prior
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.studies.bias_estimates import bias_estimates
@@ -241,7 +241,8 @@ def judge_flight(
     fit = partial(fit_mission, draws=DRAWS, proposals=PROPOSALS)
     begun = fit(first, prior, rng)
     note(counts[0], begun.losses)
-    untrusted, earlier = 0, begun.draws
+    earlier: EarlierDraws = begun
+    untrusted = 0
     for interim in analyses(flown.model, prior, earlier, counts[1:], DRAWS, rng):
         note(interim.events, interim.losses)
         untrusted, earlier = untrusted + (not interim.trusted), interim.draws

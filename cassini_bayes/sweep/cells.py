@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.as_arrays import arrays_of
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
-from cassini_bayes.sampling.warmstart import LogDensity, WarmStart, warm_start
+from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.sweep.models import ModelFactory, SweepModel, values_of
 from cassini_bayes.sweep.variations import Variation
 from cassini_bayes.sweep.weights import (
@@ -70,13 +71,29 @@ class Baseline:
         return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(key.encode()))))
 
 
+@dataclass(frozen=True)
+class Estimate:
+    """What one way of answering a cell gives: quality of its weights, moments, changes (q,)."""
+
+    kind: str
+    pareto_k: float
+    effective: float
+    mean: Array
+    sd: Array
+    quantiles: Array
+    shift: Array
+    shift_error: Array
+    width: Array
+    width_error: Array
+
+
 def cell_arrays(
     baseline: Baseline, variation: Variation, refit: Refit
 ) -> dict[str, NDArray[np.generic]]:
     """Work out a cell: arrays to be stored.
 
-    Keys ``<way>.<what>`` with way 0 (weighted draws) and, where fitted anew, 1; what is kind,
-    pareto_k, effective, mean, sd, quantiles, shift, shift_error, width, width_error.
+    Keys ``<way>.<what>`` with way 0 (weighted draws) and, where fitted anew, 1; what is a field of
+    :class:`Estimate`.
 
     Raises
     ------
@@ -84,7 +101,18 @@ def cell_arrays(
         The changed priors are so extreme that the model cannot be computed.
     """
     try:
-        return _cell_arrays(baseline, variation, refit)
+        model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
+        weights, values = reweighted(baseline, variation, model)
+        change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
+        result = _arrays("0", REWEIGHTED, weights, values, change)
+        if refit == "always" or (refit == "auto" and not weights.trusted):
+            rng = baseline.stream(variation.key)
+            kind, weights, values, batches = refitted(model, baseline.names, rng)
+            change = change_between(
+                baseline.values, baseline.batches, values, weights.values, batches
+            )
+            result |= _arrays("1", kind, weights, values, change)
+        return result
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"sweep: {variation.group}, {variation.label}",
@@ -94,37 +122,11 @@ def cell_arrays(
         ) from error
 
 
-def _cell_arrays(
-    baseline: Baseline, variation: Variation, refit: Refit
-) -> dict[str, NDArray[np.generic]]:
-    model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
-    weights, values = reweighted(baseline, variation, model)
-    change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
-    result = _arrays("0", REWEIGHTED, weights, values, change)
-    if refit == "always" or (refit == "auto" and not weights.trusted):
-        rng = baseline.stream(variation.key)
-        kind, weights, values, batches = refitted(model, baseline.names, rng)
-        change = change_between(baseline.values, baseline.batches, values, weights.values, batches)
-        result |= _arrays("1", kind, weights, values, change)
-    return result
-
-
 def _arrays(
     way: str, kind: str, weights: Weights, values: Array, change: Change
 ) -> dict[str, NDArray[np.generic]]:
-    result = moments(values, weights.values)
-    numbers = {
-        "pareto_k": np.array(weights.pareto_k),
-        "effective": np.array(weights.effective),
-        "mean": result.mean,
-        "sd": result.sd,
-        "quantiles": result.quantiles,
-        "shift": change.shift,
-        "shift_error": change.shift_error,
-        "width": change.width,
-        "width_error": change.width_error,
-    }
-    return {f"{way}.kind": np.array(kind)} | {f"{way}.{k}": v for k, v in numbers.items()}
+    numbers = vars(moments(values, weights.values)) | vars(change)
+    return arrays_of(Estimate(kind, weights.pareto_k, weights.effective, **numbers), way)
 
 
 def reweighted(
@@ -181,16 +183,6 @@ def refitted(
     weights = smoothed_weights(warm.draws.log_weights)
     if weights.trusted:
         return REFITTED, weights, values_of(model.quantities(warm.draws.z, rng), names), None
-    return _by_chain(model, log_density, warm, names, rng)
-
-
-def _by_chain(
-    model: SweepModel,
-    log_density: LogDensity,
-    warm: WarmStart,
-    names: tuple[str, ...],
-    rng: np.random.Generator,
-) -> tuple[str, Weights, Array, NDArray[np.int64]]:
     settings = SamplerSettings(target_ess=CHAIN_ESS, seed=int(rng.integers(2**31)))
     chains = sample(log_density, warm.proposal, settings)
     z, _ = chains.thinned(REFIT_DRAWS // settings.ensembles)

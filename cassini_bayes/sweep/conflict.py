@@ -15,7 +15,7 @@ data have then been used twice, so it is conservative).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -46,6 +46,9 @@ class Pull:
     pull: float  # of that parameter, in the standard deviations that it was expected to move by
 
 
+NO_PULL: Final = Pull(np.nan, 0, "", np.nan)
+
+
 def conflict_table(blocks: Mapping[str, Coordinates], fit: Fit) -> pd.DataFrame:
     """One row per block and event: p-values before and after fitting, verdict, sentence.
 
@@ -54,33 +57,14 @@ def conflict_table(blocks: Mapping[str, Coordinates], fit: Fit) -> pd.DataFrame:
     ``agree``. Columns: level, name, p_before, p_after, directions, parameter, pull_sd, verdict,
     sentence. A p-value is NaN where the fit has nothing to take it from.
     """
-    rows: list[dict[str, object]] = []
+    rows: list[tuple[object, ...]] = []
     for block, coordinates in blocks.items():
         before, after = pull_before(coordinates, fit), pull_after(coordinates)
-        rows.append(
-            {
-                "level": "block",
-                "name": block,
-                "p_before": before.p_value,
-                "p_after": after.p_value,
-                "directions": after.directions,
-                "parameter": after.parameter,
-                "pull_sd": after.pull,
-            }
-        )
+        rows.append(("block", block, before.p_value, *vars(after).values()))
     for event, (p_before, p_after) in event_p_values(fit).items():
-        rows.append(
-            {
-                "level": "event",
-                "name": event,
-                "p_before": p_before,
-                "p_after": p_after,
-                "directions": 0,
-                "parameter": "",
-                "pull_sd": np.nan,
-            }
-        )
-    table = pd.DataFrame(rows)
+        rows.append(("event", event, p_before, *vars(replace(NO_PULL, p_value=p_after)).values()))
+    columns = ["level", "name", "p_before", "p_after", "directions", "parameter", "pull_sd"]
+    table = pd.DataFrame(rows, columns=columns)
     table["verdict"] = "agree"
     for level in ("block", "event"):
         own_rows = table["level"] == level
@@ -135,7 +119,7 @@ def pull_before(own: Coordinates, fit: Fit) -> Pull:
     """The pull of the data on a block, predicted from the prior and its predictive draws."""
     draws, observed = _predictive(fit, "prior_predictive")
     if draws.shape[1] == 0 or len(draws) != len(own.prior):
-        return Pull(np.nan, 0, "", np.nan)
+        return NO_PULL
     z = own.prior - own.prior.mean(0)
     gain = _whitened(draws)
     white = (draws - draws.mean(0)) @ gain
@@ -149,7 +133,7 @@ def _pull(names: tuple[str, ...], mean: Array, variance: Array) -> Pull:
     values, vectors = np.linalg.eigh(0.5 * (variance + variance.T))
     told = values > INFORMED
     if not told.any():
-        return Pull(np.nan, 0, "", np.nan)
+        return NO_PULL
     along = vectors[:, told].T @ mean
     distance = float((along**2 / values[told]).sum())
     diagonal = np.diagonal(variance)
@@ -169,14 +153,14 @@ def event_p_values(fit: Fit) -> dict[str, tuple[float, float]]:
     """Event → p-values of its on-times before and after fitting; empty without on-times."""
     if _ON_TIME not in fit.groups["observed_data"]:
         return {}
-    result = {}
-    for event in fit.groups["observed_data"].coords["event"].values:
-        p_values = []
-        for group in ("prior_predictive", "posterior_predictive"):
-            draws, observed = _predictive(fit, group, str(event))
-            p_values.append(predictive_p_value(draws, observed))
-        result[str(event)] = (p_values[0], p_values[1])
-    return result
+    before, after = (
+        {
+            str(event): predictive_p_value(*_predictive(fit, group, str(event)))
+            for event in fit.groups["observed_data"].coords["event"].values
+        }
+        for group in ("prior_predictive", "posterior_predictive")
+    )
+    return {event: (p_value, after[event]) for event, p_value in before.items()}
 
 
 def predictive_p_value(draws: Array, observed: Array) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.record import Fit
-from cassini_bayes.sweep.models import SweepModel, walked_values
+from cassini_bayes.sweep.models import SweepModel, values_of, walked_values
 
 LEVELS: Final = "thrust_level_n"
 THRUST: Final = "thrust"
@@ -53,9 +54,7 @@ def block_coordinates(model: SweepModel, priors: Priors, fit: Fit) -> dict[str, 
         mean, sd = drawn[1].mean(0), drawn[1].std(0, ddof=1)
         varies = sd > 0
         if varies.any():
-            names = tuple(
-                name for name, is_varied in zip(drawn[0], varies, strict=True) if is_varied
-            )
+            names = tuple(compress(drawn[0], varies))
             before, after = (((d - mean) / np.where(varies, sd, 1.0))[:, varies] for d in drawn[1:])
             result[block] = Coordinates(names, before, after)
     return result
@@ -68,23 +67,17 @@ def _collapsed(
     result: dict[str, tuple[list[str], Array, Array]] = {}
     posterior = sets[1]
     if LEVELS in posterior and priors.parameters[THRUST_COMMON].distribution is not None:
-        thrusters = [str(name) for name in posterior.coords["thruster"].values]
-        names = [THRUST_COMMON, *(f"{LEVELS}[{name}] − common" for name in thrusters)]
-        result[THRUST] = (names, _levels(sets[0]), _levels(sets[1]))
+        levels = [f"{LEVELS}[{name}]" for name in posterior.coords["thruster"].values]
+        before, after = (values_of(data, [THRUST_COMMON, *levels]) for data in sets)
+        for drawn in (before, after):
+            drawn[:, 1:] -= drawn[:, :1]
+        result[THRUST] = ([THRUST_COMMON, *(f"{n} − common" for n in levels)], before, after)
+    blocks = {"flight software": list(SOFTWARE)} if set(SOFTWARE) <= set(posterior) else {}
     if _TORQUE in posterior:
-        events = [str(name) for name in posterior.coords["event"].values]
+        events = posterior.coords["event"].values
         names = [f"{_TORQUE}[{event},{axis}]" for event in events for axis in "xyz"]
-        before, after = (data[_TORQUE].values.reshape(-1, len(names)) for data in sets)
-        result["torque"] = (names, before, after)
-    if all(name in posterior for name in SOFTWARE):
-        before, after = (
-            np.stack([data[name].values.reshape(-1) for name in SOFTWARE], -1) for data in sets
-        )
-        result["flight software"] = (list(SOFTWARE), before, after)
+        blocks = {"torque": names, **blocks}
+    for block, names in blocks.items():
+        before, after = (values_of(data, names) for data in sets)
+        result[block] = (names, before, after)
     return result
-
-
-def _levels(data: xr.Dataset) -> Array:
-    common = data[THRUST_COMMON].values.reshape(-1, 1)
-    levels = data[LEVELS].values.reshape(len(common), -1)
-    return np.concatenate([common, levels - common], axis=1)

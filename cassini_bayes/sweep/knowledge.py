@@ -61,12 +61,9 @@ def residual_ratio(known: Array, values: Array, batches: NDArray[np.int64]) -> t
     scale = shifted.std(0)
     target = shifted / np.where(scale > 0, scale, 1.0)
     count = int(batches.max()) + 1
-    width = columns.shape[1] + target.shape[1]
     joint = np.concatenate([columns, target], axis=1)
-    grams = np.zeros((count, width, width))
-    for batch in range(count):
-        part = joint[batches == batch]
-        grams[batch] = part.T @ part
+    parts = (joint[batches == batch] for batch in range(count))
+    grams = np.stack([part.T @ part for part in parts])
     total = grams.sum(0)
     left_out = np.stack([_ratio(total - gram, columns.shape[1]) for gram in grams])
     error = np.sqrt((count - 1.0) / count * ((left_out - left_out.mean(0)) ** 2).sum(0))

@@ -14,7 +14,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.model.posterior import Event, Model, build_model, log_likelihood
-from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
@@ -32,10 +31,6 @@ class SweepModel(Protocol):
     @property
     def collapsed(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
-
-    @property
-    def walkable(self) -> tuple[str, ...]:
-        """Those of them that would be walked under a prior that is not normal."""
 
     def log_likelihood(self, z: Array) -> Array:
         """Log likelihood (n,) at walked coordinates z (n, d), everything linear integrated out."""
@@ -74,11 +69,6 @@ class SweptModel:
     def collapsed(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
         return self.model.integrated
-
-    @property
-    def walkable(self) -> tuple[str, ...]:
-        """The common thrust."""
-        return tuple(name for name in self.collapsed if name == THRUST_COMMON)
 
     def log_likelihood(self, z: Array) -> Array:
         """Collapsed log likelihood (n,) at z (n, d)."""

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.workers import Workers
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.as_arrays import value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.results.record import Fit
-from cassini_bayes.sweep.cells import Baseline, cell_arrays
+from cassini_bayes.sweep.cells import Baseline, Estimate, cell_arrays
 from cassini_bayes.sweep.models import (
     ModelFactory,
     SweepModel,
@@ -103,10 +104,8 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep
         _groups(factory, sweep, where),
         model,
         factory.priors,
-        widths=sweep.grid.widths,
-        shifts=sweep.grid.shifts,
-        families=sweep.grid.families,
-        where=where,
+        sweep.grid,
+        where,
     )
     if sweep.grid.events and len(factory.event_ids) > 1:
         cells += tuple(Variation(EVENTS, "without", event=name) for name in factory.event_ids)
@@ -140,10 +139,7 @@ def _kept(fit: Fit, draws: int) -> NDArray[np.int64]:
 def _groups(factory: ModelFactory, sweep: SweepFile, where: str) -> tuple[Group, ...]:
     blocks = {g.name: g for g in blocks_of(factory.build(factory.priors), factory.priors)}
     for name in sweep.blocks:
-        if name not in blocks:
-            raise InputError(
-                f"{where}: blocks", "prior blocks of the model", repr(name), nearest(name, blocks)
-            )
+        check_known(f"{where}: blocks", name, blocks, "prior blocks of the model")
     groups = tuple(Group(g.name, tuple(g.parameters)) for g in sweep.group)
     if sweep.blocks or groups:
         return (*(blocks[name] for name in sweep.blocks), *groups)
@@ -217,19 +213,14 @@ def _rows(
     *,
     reported: bool,
 ) -> list[tuple[object, ...]]:
-    columns = [
-        arrays[f"{way}.{what}"]
-        for what in ("mean", "sd", "shift", "shift_error", "width", "width_error")
-    ]
+    found: Estimate = value_of(Estimate, arrays, way)
     head = (cell.group, cell.kind, cell.label, " ".join(cell.parameters))
-    estimate = (
-        str(arrays[f"{way}.kind"]),
-        float(arrays[f"{way}.pareto_k"]),
-        float(arrays[f"{way}.effective"]),
-    )
+    estimate = (found.kind, found.pareto_k, found.effective)
+    changes = (found.shift, found.shift_error, found.width, found.width_error)
+    numbers = np.stack([found.mean, found.sd, *changes], axis=-1).tolist()
     return [
-        (*head, name, sweep.units[j], *estimate, *(float(c[j]) for c in columns), reported)
-        for j, name in enumerate(sweep.baseline.names)
+        (*head, name, unit, *estimate, *own, reported)
+        for name, unit, own in zip(sweep.baseline.names, sweep.units, numbers, strict=True)
     ]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.results.groups import block_variable
 from cassini_bayes.results.record import Fit
 from cassini_bayes.spacecraft.parameters import BLOCKS
 from cassini_bayes.sweep.weights import smoothed_weights
@@ -30,7 +31,7 @@ def components(fit: Fit) -> dict[str, Array]:
 
     Everything is evaluated at the stored draws, what is integrated out at its drawn-back values.
     """
-    blocks = {block.replace(" ", "_").replace("-", "_"): block for block in BLOCKS}
+    blocks = {block_variable(block): block for block in BLOCKS}
     result = {
         blocks.get(str(block), str(block).replace("_", " ")): values.values.reshape(-1)
         for block, values in fit.groups["log_prior"].data_vars.items()

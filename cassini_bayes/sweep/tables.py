@@ -30,14 +30,7 @@ class SweepTables:
 
     def files(self) -> Mapping[str, pd.DataFrame]:
         """The tables by the name of their file."""
-        return {
-            "baseline": self.baseline,
-            "sweep": self.sweep,
-            "scaling": self.scaling,
-            "knowledge": self.knowledge,
-            "data_worth": self.data_worth,
-            "conflict": self.conflict,
-        }
+        return dict(vars(self))
 
 
 def tables_of(sweep: Sweep, store: CheckpointStore, factory: ModelFactory, fit: Fit) -> SweepTables:

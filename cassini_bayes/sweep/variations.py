@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import check_known
+from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors
 from cassini_bayes.sweep.models import SweepModel
+from cassini_bayes.sweep.specification import GridTable
 
 Kind = Literal["width", "shift", "family", "without"]
 STUDENT_DOF: Final = 5.0
@@ -115,20 +117,13 @@ def blocks_of(model: SweepModel, priors: Priors) -> tuple[Group, ...]:
 
 
 def grid_of(
-    groups: Iterable[Group],
-    model: SweepModel,
-    priors: Priors,
-    *,
-    widths: Sequence[float],
-    shifts: Sequence[float],
-    families: Sequence[str],
-    where: str = "sweep",
+    groups: Iterable[Group], model: SweepModel, priors: Priors, grid: GridTable, where: str
 ) -> tuple[Variation, ...]:
     """Every cell of a sweep that changes something.
 
     Widths and families act on a whole group, shifts on one parameter at a time (a block has no one
     direction to be shifted in). Departures of thrust are centred on zero and are not shifted. What
-    is integrated out stays normal, unless it can be walked instead (the common thrust of totals).
+    is integrated out stays normal, unless it can be walked instead (the common thrust).
 
     Raises
     ------
@@ -140,28 +135,24 @@ def grid_of(
     for group in groups:
         _check_group(group, acting, priors, where)
         free = tuple(n for n in group.parameters if priors.parameters[n].distribution is not None)
-        changeable = tuple(n for n in free if n in (*model.space.names, *model.walkable))
-        cells += [Variation(group.name, "width", free, amount=w) for w in widths if w != 1.0]
+        changeable = tuple(n for n in free if n in (*model.space.names, THRUST_COMMON))
+        cells += [Variation(group.name, "width", free, amount=w) for w in grid.widths if w != 1.0]
         cells += [
             Variation(group.name, "shift", (name,), amount=shift)
             for name in free
             if name not in ZERO_CENTRED
-            for shift in shifts
+            for shift in grid.shifts
             if shift != 0.0
         ]
-        cells += [Variation(group.name, "family", changeable, family=f) for f in families]
+        cells += [Variation(group.name, "family", changeable, family=f) for f in grid.families]
     return tuple(cell for cell in cells if cell.applied(priors).parameters != priors.parameters)
 
 
 def _check_group(group: Group, acting: Sequence[str], priors: Priors, where: str) -> None:
     for name in group.parameters:
-        if name not in acting:
-            raise InputError(
-                f"{where}: group {group.name}",
-                "parameters that act in the model",
-                repr(name),
-                nearest(name, acting),
-            )
+        check_known(
+            f"{where}: group {group.name}", name, acting, "parameters that act in the model"
+        )
     if all(priors.parameters[name].distribution is None for name in group.parameters):
         raise InputError(
             f"{where}: group {group.name}",

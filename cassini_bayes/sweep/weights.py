@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -145,17 +146,7 @@ def change_on_same_draws(
     ``varied`` are the quantities at the same points under the changed model (the same numbers where
     only the weights differ), so most of the Monte Carlo error cancels.
     """
-    n = len(base)
-    even = np.full(n, 1.0 / n)
-    before, after = moments(base, even), moments(varied, weights)
-    mean_0, width_0 = influence(base, even)
-    mean_1, width_1 = influence(varied, weights)
-    return _change(
-        before,
-        after,
-        error_of(mean_1 - mean_0, batches),
-        error_of(width_1 - width_0, batches),
-    )
+    return _change(base, varied, weights, lambda old, new: error_of(new - old, batches))
 
 
 def change_between(
@@ -166,17 +157,21 @@ def change_between(
     batches: NDArray[np.int64] | None,
 ) -> Change:
     """Change between two independent sets of draws, (n, q) and weighted (m, q)."""
-    even = np.full(len(base), 1.0 / len(base))
+
+    def error(old: Array, new: Array) -> Array:
+        return np.asarray(np.hypot(error_of(old, base_batches), error_of(new, batches)))
+
+    return _change(base, varied, weights, error)
+
+
+def _change(
+    base: Array, varied: Array, weights: Array, error: Callable[[Array, Array], Array]
+) -> Change:
+    """Change of weighted draws from equal ones; ``error`` is of the influences of both."""
+    even = equal_weights(len(base)).values
     before, after = moments(base, even), moments(varied, weights)
-    ours, theirs = influence(base, even), influence(varied, weights)
-    errors = [
-        np.hypot(error_of(a, base_batches), error_of(b, batches))
-        for a, b in zip(ours, theirs, strict=True)
-    ]
-    return _change(before, after, *errors)
-
-
-def _change(before: Moments, after: Moments, mean_error: Array, log_sd_error: Array) -> Change:
+    both = zip(influence(base, even), influence(varied, weights), strict=True)
+    mean_error, log_sd_error = (error(old, new) for old, new in both)
     scale = np.where(before.sd > 0, before.sd, np.nan)
     ratio = after.sd / scale
     return Change(

@@ -19,7 +19,13 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sweep.cells import log_prior_ratio
 from cassini_bayes.sweep.variations import Group
-from cassini_bayes.sweep.weights import QUANTILES, Weights, moments, smoothed_weights
+from cassini_bayes.sweep.weights import (
+    QUANTILES,
+    Weights,
+    equal_weights,
+    moments,
+    smoothed_weights,
+)
 
 WIDTHS: Final = tuple(2.0 ** (step / 2.0) for step in range(-4, 5))
 """¼ … 4 in steps of √2."""
@@ -67,7 +73,7 @@ def width_effects(
     Groups whose prior, made :data:`WIDTHS` [0] times as wide, moves nothing by ``least`` of its
     standard deviation, or by no more than the Monte Carlo error could, are left out.
     """
-    even = np.full(len(values), 1.0 / len(values))
+    even = equal_weights(len(values)).values
     mean, sd, order = values.mean(0), values.std(0), np.argsort(values, axis=0)
     result = []
     for group in groups:
@@ -88,26 +94,23 @@ def _effect(
     values: Array,
     order: NDArray[np.int64],
 ) -> WidthEffect:
-    n, even = len(values), np.full(len(values), 1.0 / len(values))
+    n, even = len(values), equal_weights(len(values)).values
     result = [_weights(priors, group, draws, n, width) for width in WIDTHS]
-    told = np.array([_in_support(weights) for weights in result])[:, None]
-    every = [
-        moments(values, weights.values if _in_support(weights) else even, order)
-        for weights in result
-    ]
-
-    def stacked(rows: Sequence[Array]) -> Array:
-        return np.where(told, np.stack(rows), np.nan)
-
+    told = np.array([_in_support(weights) for weights in result])[:, None, None]
+    figures = []
+    for weights in result:
+        own = moments(values, weights.values if _in_support(weights) else even, order)
+        figures.append((own.mean, own.sd, own.quantiles[LOW], own.quantiles[HIGH]))
+    mean, sd, low, high = np.moveaxis(np.where(told, np.array(figures), np.nan), 1, 0)
     return WidthEffect(
         group,
         pareto_k=np.array([weights.pareto_k for weights in result]),
         effective=np.array([weights.effective for weights in result]),
         trusted=np.array([weights.trusted for weights in result]),
-        mean=stacked([moments_of.mean for moments_of in every]),
-        sd=stacked([moments_of.sd for moments_of in every]),
-        low=stacked([moments_of.quantiles[LOW] for moments_of in every]),
-        high=stacked([moments_of.quantiles[HIGH] for moments_of in every]),
+        mean=mean,
+        sd=sd,
+        low=low,
+        high=high,
     )
 
 

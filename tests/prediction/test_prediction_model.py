@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.optimize import linprog
 from spacecraft_cases import TWELVE
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.demand import pair_layout, pair_solver
 from cassini_bayes.prediction.firing import (
@@ -27,9 +27,9 @@ from cassini_bayes.prediction.firing import (
 )
 from cassini_bayes.prediction.ground_software import ideal_on_times, specific_impulse_s
 from cassini_bayes.prediction.learning import joint_draws
-from cassini_bayes.prediction.physics import arms_of, wheels_of
+from cassini_bayes.prediction.physics import arms_of, wheel_momentum
 from cassini_bayes.prediction.predict import SOURCES, Prediction, predict
-from cassini_bayes.prediction.regressions import ScalePrior, regress
+from cassini_bayes.prediction.regressions import conditional, regress
 from cassini_bayes.prediction.requests import parse_bias, request_of
 from cassini_bayes.prediction.scores import covered, crps, interval_score
 from cassini_bayes.prediction.summary import body_to_inertial
@@ -199,7 +199,7 @@ def test_the_posterior_of_the_firing_logic_is_that_of_a_brute_force_chain() -> N
 
     manager = Manager(dict(MANAGER.ramp_s_per_rpm), MANAGER.loop_s)
     layout = pair_layout(model().spacecraft, "B")
-    mean = physics().at_mean().at(np.zeros(1, dtype=np.int64))
+    mean = picked(physics().at_mean(), np.zeros(1, dtype=np.int64))
     features = training_features(model(), events, mean, manager, 7.66)
     seen = [observe(event.on_time_s, layout) for event in events]
     space = firing_space(beliefs())
@@ -264,12 +264,21 @@ def test_regressions_draw_from_the_conjugate_posterior() -> None:
     rng = np.random.default_rng(5)
     x, y = rng.standard_normal((6, 2)), rng.standard_normal(6)
     variance, m0, s0 = np.linspace(0.5, 1.5, 6), np.array([0.3, -0.2]), np.array([0.5, 2.0])
-    found = regress(x, y, variance, m0, s0, rng, size=40_000).coefficients
-    precision = x.T @ (x / variance[:, None]) + np.diag(s0**-2)
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ (x.T @ (y / variance) + m0 / s0**2)
-    np.testing.assert_allclose(found.mean(0), mean, atol=5 * np.sqrt(covariance.max() / 40_000))
-    np.testing.assert_allclose(np.cov(found.T), covariance, rtol=0.06, atol=0.003)
+    mean, factor = conditional(x, y, variance, m0, s0, 1.0)
+    covariance = np.linalg.inv(x.T @ (x / variance[:, None]) + np.diag(s0**-2))
+    expected = covariance @ (x.T @ (y / variance) + m0 / s0**2)
+    np.testing.assert_allclose(mean, expected, rtol=1e-9)
+    inverse = np.linalg.inv(factor)
+    np.testing.assert_allclose(np.outer(s0, s0) * (inverse.T @ inverse), covariance, rtol=1e-9)
+    # draws, whitened by the conditional at their own noise scales, are standard normals
+    found = regress(x, y, variance, list(zip(m0, s0, strict=True)), rng, size=40_000)
+    means, factors = conditional(
+        np.broadcast_to(x, (40_000, *x.shape)), y, variance, m0, s0, found.scale_square
+    )
+    departure = ((found.coefficients - means) / s0)[..., None]
+    white = (np.swapaxes(factors, -1, -2) @ departure)[..., 0]
+    np.testing.assert_allclose(white.mean(0), 0.0, atol=5 * np.sqrt(1 / 40_000))
+    np.testing.assert_allclose(np.cov(white.T), np.eye(2), atol=0.04)
 
 
 def test_the_noise_scale_follows_the_residuals() -> None:
@@ -283,11 +292,9 @@ def test_the_noise_scale_follows_the_residuals() -> None:
                     x,
                     factor * noise,
                     np.ones(40),
-                    np.zeros(1),
-                    np.ones(1),
+                    [(0.0, 1.0)],
                     rng,
                     size=400,
-                    scale=ScalePrior(1.0, 4.0),
                 ).scale_square
             )
         )
@@ -328,7 +335,7 @@ def test_predicted_on_times_balance_the_momentum() -> None:
     force = (drawn.level_n + moved) * effective
     impulse = (arms_of(model(), drawn) @ force[..., None])[..., 0]
     change = (event.rwa_end_rpm - event.rwa_start_rpm)[None]
-    wanted = wheels_of(model(), drawn).of(model(), event.wheels, change)[:, 0]
+    wanted = wheel_momentum(model(), drawn, event.wheels, change)[:, 0]
     np.testing.assert_allclose(impulse, wanted, atol=1e-6)
 
 

@@ -40,7 +40,7 @@ def test_interim_analyses_agree_with_a_fit_of_each_mission() -> None:
     prior, size = loss_prior(priors), {"draws": 400, "proposals": 800}
     whole, short, first = (mission_of(events[:n], mission_table(), priors) for n in (4, 3, 2))
     begun = fit_mission(first, prior, np.random.default_rng(1), **size)
-    (interim,) = analyses(whole, prior, begun.draws, range(3, 4), 400, np.random.default_rng(2))
+    (interim,) = analyses(whole, prior, begun, range(3, 4), 400, np.random.default_rng(2))
     assert interim.trusted
     fit = fit_mission(short, prior, np.random.default_rng(3), **size)
     for one, other in zip(interim.losses, fit.losses, strict=True):

@@ -26,9 +26,9 @@ from cassini_bayes.prediction.navigation import requirements, spread
 from cassini_bayes.prediction.physics import (
     arms_of,
     importance_physics,
+    momentum_per_rpm,
     physics_of_fit,
     stretch,
-    wheels_of,
 )
 from cassini_bayes.prediction.planning import (
     Plan,
@@ -235,7 +235,7 @@ def test_information_is_that_of_the_sampled_moments() -> None:
     start, end = np.array([100.0, -200.0, 300.0]), np.array([700.0, 300.0, -400.0])
     arms = arms_of(model(), known.physics)
     kappa = stretch(model(), known.physics, known.pulses.coefficients[:, 0])
-    columns = wheels_of(model(), known.physics).momentum_per_rpm[:, :, [0, 1, 3]]
+    columns = momentum_per_rpm(model(), known.physics)[:, :, [0, 1, 3]]
     residual = np.array(
         [
             arms[i] @ (known.physics.level_n[i] * kappa[i] * u) - columns[i] @ (end - start)

@@ -223,14 +223,7 @@ def test_every_cell_of_telemetry_alone_can_be_computed() -> None:
     factory = Factory((event_of(made_up_samples(np.random.default_rng(1)), priors),), priors)
     model = factory.build(priors)
     grid = GridTable()
-    cells = grid_of(
-        blocks_of(model, priors),
-        model,
-        priors,
-        widths=grid.widths,
-        shifts=grid.shifts,
-        families=grid.families,
-    )
+    cells = grid_of(blocks_of(model, priors), model, priors, grid, "sweep")
     assert {cell.group for cell in cells} >= {"thrust", "inertia", "torque", "tail-off"}
     for cell in cells:
         changed = factory.build(cell.applied(priors))
@@ -242,12 +235,12 @@ def test_groups_of_unknown_or_fixed_parameters_are_refused() -> None:
     """A parameter the model does not use, or a group with nothing free, is an input error."""
     rows, priors = flight(1)
     model = Factory(rows, priors, delta_v="ignore").build(priors)
-    options = {"widths": [2.0], "shifts": [], "families": []}
+    grid = GridTable(widths=[2.0], shifts=[], families=[])
     with pytest.raises(InputError, match="mass_factor"):
-        grid_of([Group("own", ("mass_factor",))], model, priors, **options)
+        grid_of([Group("own", ("mass_factor",))], model, priors, grid, "sweep")
     fixed = priors.with_fixed("cm_x_m", 0.1)
     with pytest.raises(InputError, match="distribution"):
-        grid_of([Group("own", ("cm_x_m",))], model, fixed, **options)
+        grid_of([Group("own", ("cm_x_m",))], model, fixed, grid, "sweep")
     assert "mass" not in [group.name for group in blocks_of(model, priors)]
 
 

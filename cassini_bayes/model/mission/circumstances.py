@@ -119,11 +119,12 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
     if mission.pressure is None:
         return Tank(1.0, same, same, same, 0.0 * same, 0.0 * same, 1.0)
     law, table = mission.pressure.blowdown, mission.pressure
+    recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
     known = np.full(len(events), np.nan)
     for i, event in enumerate(events):
         reading = event.pressure_kpa
         if reading is None:
-            reading = _between_readings(mission, table, event.epoch)
+            reading = _between_readings(table, recharges, event.epoch)
         if reading is not None:
             _require_kpa(reading, table.reference_kpa, f"{where}: event {event.id}")
             known[i] = reading
@@ -138,7 +139,6 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
             known[i] = table.reference_kpa  # nothing fires: its pressure does not matter
     if law is None:
         return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
-    recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
     last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
     before = np.array([0.0 if at is None else _used_kg(mission, at) for at in last])
     used = np.array([_used_kg(mission, event.epoch) for event in events])
@@ -175,9 +175,10 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
         )
 
 
-def _between_readings(mission: MissionTable, table: PressureTable, epoch: datetime) -> float | None:
+def _between_readings(
+    table: PressureTable, recharges: Sequence[datetime], epoch: datetime
+) -> float | None:
     """The pressure between two readings (kPa), if no recharge lies between them."""
-    recharges = [utc(fact.epoch) for fact in mission.dated if fact.what == "recharge"]
     readings = [(utc(reading.epoch), reading.kpa) for reading in table.readings]
     for at, value in readings:
         if at == epoch:

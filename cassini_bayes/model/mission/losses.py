@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp, owens_t
 
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places, picked
 from cassini_bayes.model.mission.model import BranchAt
 
 NODES: Final = np.polynomial.legendre.leggauss(16)
@@ -60,10 +60,6 @@ class LossTerms:
         for spent in np.moveaxis(self.spent, -1, 0):
             both -= spent[:, o, k] * spent[:, p, j]
         return np.asarray(both)
-
-    def at(self, places: Places | slice) -> LossTerms:
-        """The same at some of the points."""
-        return LossTerms(self.linear[places], self.total[places], self.spent[places])
 
 
 def loss_terms(branch: BranchAt) -> LossTerms:
@@ -216,7 +212,7 @@ def near_hypotheses(
     bound = _pair_bound(
         np.stack([linear[few, left], linear[few, right]], axis=-1),
         np.stack([square[few, left], square[few, right]], axis=-1),
-        terms.at(few).cross(all_losses[left], all_losses[right]),
+        picked(terms, few).cross(all_losses[left], all_losses[right]),
         prior.scale,
     ).mean(0)
     # what a second loss costs beforehand decides how near a pair has to come

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places, joined, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.mission.circumstances import Circumstances
@@ -166,12 +166,8 @@ class BranchAt:
     @classmethod
     def joined(cls, lots: Sequence[BranchAt]) -> BranchAt:
         """The same at the points of several lots, in their order."""
-        return cls(
-            lots[0].thrusts,
-            np.concatenate([lot.scale for lot in lots]),
-            ThrustInformation.of_points([lot.information for lot in lots]),
-            ThrustInformation.of_points([lot.left for lot in lots]),
-        )
+        own = [(lot.scale, lot.information, lot.left) for lot in lots]
+        return cls(lots[0].thrusts, *joined(own))
 
     @property
     def offset_n(self) -> Array:
@@ -208,19 +204,13 @@ class BranchAt:
 
     def take(self, places: Places) -> BranchAt:
         """The same at some of the points, in that order."""
-        return self._cut(places, slice(None), self.thrusts)
+        own = self.scale, self.information, self.left
+        return BranchAt(self.thrusts, *picked(own, places))
 
     def first(self, count: int) -> BranchAt:
         """The same of the branch's first events alone."""
-        return self._cut(slice(None), slice(count), self.thrusts.first(count))
-
-    def _cut(self, points: Places | slice, events: slice, thrusts: BranchThrusts) -> BranchAt:
-        return BranchAt(
-            thrusts,
-            self.scale[points][:, events],
-            self.information.cut(points, events),
-            self.left.cut(points, events),
-        )
+        own = self.scale, self.information, self.left
+        return BranchAt(self.thrusts.first(count), *picked(own, np.s_[:, :count]))
 
 
 def _offset_n(thrusts: BranchThrusts, scale: Array) -> Array:
@@ -249,8 +239,8 @@ class MissionModel:
             terms = [term.at(points) for term in part.model.terms]
             rest = rest + sum(term.log_likelihood for term in terms)
             if len(part.places):
-                joined = ThrustInformation.joined([term.information for term in terms])
-                result.setdefault(part.branch, []).append((part, joined))
+                of_part = joined([term.information for term in terms], axis=1)
+                result.setdefault(part.branch, []).append((part, of_part))
         return tuple(
             self._branch_at(branch, result[branch.branch], parameters, relative)
             for branch in self.branches
@@ -295,12 +285,9 @@ class MissionModel:
         relative: Array,
     ) -> BranchAt:
         order = np.argsort(np.concatenate([part.places for part, _ in parts]))
-        joined = ThrustInformation.joined([information for _, information in parts])
-        information = ThrustInformation(
-            joined.matrix[:, order], joined.vector[:, order], joined.constant[:, order]
-        )
+        every = joined([information for _, information in parts], axis=1)
         scale = branch.scale_at(parameters, relative)
-        return BranchAt.of(branch, scale, information)
+        return BranchAt.of(branch, scale, picked(every, np.s_[:, order]))
 
 
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:
@@ -357,29 +344,19 @@ def build_mission(
         for name in (*model.space.names, *model.space.fixed):
             prior = of_branch.parameters[name]
             label = mission_name(name, prior.spec.block, branch, names_of_branches, several)
-            names[name] = label
-            prior_of[label] = prior
-        laws = [
+            names[name], prior_of[label] = label, prior
+        by_pressure, by_age = (
             mission_name(law, "tail-off", branch, names_of_branches, several)
             for law in (TAIL_PRESSURE, TAIL_AGEING)
-        ]
+        )
         if len(places):
             of_branch.require((INTERCEPT, TAIL_PRESSURE, TAIL_AGEING), "a mission")
-            prior_of[laws[0]] = of_branch.parameters[TAIL_PRESSURE]
-            prior_of[laws[1]] = of_branch.parameters[TAIL_AGEING]
+            prior_of[by_pressure] = of_branch.parameters[TAIL_PRESSURE]
+            prior_of[by_age] = of_branch.parameters[TAIL_AGEING]
             prior_of[INTERCEPT] = priors.parameters[INTERCEPT]
-        parts.append(
-            Part(
-                model,
-                places,
-                branch,
-                names,
-                tuple(_changes(mission, circumstances, members[0])),
-                laws[0],
-                laws[1],
-                members[0],
-            )
-        )
+        first = members[0]
+        changes = tuple(_changes(mission, circumstances, first))
+        parts.append(Part(model, places, branch, names, changes, by_pressure, by_age, first))
     if circumstances.tank.is_circular:
         priors.require([USED_FACTOR], "a blowdown law")
         if mission.propellant is not None and mission.propellant.computed:

@@ -36,6 +36,8 @@ from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
+    PROPOSAL_DOF,
+    TRUSTED_K,
     ImportanceDraws,
     LogDensity,
     Proposal,
@@ -46,15 +48,12 @@ from cassini_bayes.sampling.warmstart import (
     refined,
 )
 
-MOST_K: Final = 0.7
-"""Pareto k̂ beyond which importance draws are no result (Vehtari et al. 2024)."""
 LEAST_DRAWS: Final = 100.0
 """Effective draws that a result needs."""
 PASSES: Final = 4  # at the hypotheses, each with draws of its own
 _PILOTS: Final = 6
 _KEPT: Final = 100  # points whose densities one file keeps
 _WORTH_KEEPING_S: Final = 0.1  # what takes less is worked out again as fast as it is read
-_DOF: Final = 15.0  # of the proposal, as in a warm start
 
 StoreOf = Callable[[str], CheckpointStore | None]
 References = Mapping[str, Hypothesis]
@@ -115,39 +114,35 @@ class Losses:
 
 
 @dataclass(frozen=True)
-class MissionFit:
-    """Equally weighted draws z (n, d) of a mission, given the reference losses of each branch.
+class EarlierDraws:
+    """What a fit hands on to the same mission with further events.
 
-    ``log_density`` (n,) is the one they were drawn from: what new events are weighed against.
+    Equally weighted draws z (n, d) of the parameters ``names`` given the reference losses of each
+    branch, and the density (n,) they were drawn from: what new events are weighed against.
     """
+
+    names: tuple[str, ...]
+    z: Array
+    log_density: Array
+    references: References
+    log_evidence: float  # given the references
+    log_evidence_se: float
+
+
+@dataclass(frozen=True)
+class MissionFit(EarlierDraws):
+    """A fitted mission: its draws, what they were made of, and what is believed of losses."""
 
     model: MissionModel
     prior: LossPrior
-    references: References
-    z: Array
-    log_density: Array
-    log_evidence: float  # given the references
-    log_evidence_se: float
     pareto_k: float
     efficiency: float
     losses: tuple[Losses, ...]  # of every branch
 
     @property
-    def draws(self) -> EarlierDraws:
-        """What later events go on from."""
-        return EarlierDraws(
-            self.model.space.names,
-            self.z,
-            self.log_density,
-            self.references,
-            self.log_evidence,
-            self.log_evidence_se,
-        )
-
-    @property
     def converged(self) -> bool:
         """Whether the importance draws can be trusted."""
-        return self.pareto_k < MOST_K
+        return self.pareto_k < TRUSTED_K
 
     @property
     def log_evidence_total(self) -> float:
@@ -160,22 +155,6 @@ class MissionFit:
             reference = losses.reference
             total += float(losses.log_prior[reference] - np.log(losses.probability[reference]))
         return total
-
-
-@dataclass(frozen=True)
-class EarlierDraws:
-    """What a fit hands on to the same mission with further events.
-
-    Equally weighted draws z (n, d) of the parameters ``names`` under given references, and the
-    density (n,) they were drawn from.
-    """
-
-    names: tuple[str, ...]
-    z: Array
-    log_density: Array
-    references: References
-    log_evidence: float
-    log_evidence_se: float
 
 
 def loss_prior(priors: Priors) -> LossPrior:
@@ -298,13 +277,14 @@ def fit_mission(
         references, result = best, None
     assert result is not None  # the loop ends with draws
     return MissionFit(
-        model,
-        prior,
-        references,
+        model.space.names,
         z,
         density(z),
+        references,
         result.log_evidence,
         result.log_evidence_se,
+        model,
+        prior,
         result.pareto_k,
         result.efficiency,
         losses,
@@ -313,7 +293,7 @@ def fit_mission(
 
 def trusted(found: ImportanceDraws) -> bool:
     """Whether importance draws are a result."""
-    return found.pareto_k < MOST_K and found.efficiency * len(found.z) > LEAST_DRAWS
+    return found.pareto_k < TRUSTED_K and found.efficiency * len(found.z) > LEAST_DRAWS
 
 
 def _importance(
@@ -329,7 +309,7 @@ def _importance(
             break
         if look == 0 and result.efficiency * n < LEAST_DRAWS / 4:
             mode = find_mode(density, proposal.location)
-            proposal = Proposal(*laplace(density, mode), _DOF)
+            proposal = Proposal(*laplace(density, mode), PROPOSAL_DOF)
         else:
             proposal = refined(proposal, result)
         result = importance(density, proposal, rng, n)
@@ -381,7 +361,7 @@ def embedded(
 
 
 def _prior_proposal(d: int) -> Proposal:
-    return Proposal(np.zeros(d), np.eye(d), _DOF)
+    return Proposal(np.zeros(d), np.eye(d), PROPOSAL_DOF)
 
 
 def moments(found: ImportanceDraws) -> Proposal:

@@ -14,12 +14,17 @@ import xarray as xr
 
 from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.draws import Draws
+from cassini_bayes.model.draws import Draws, density_at, draw_own, draw_own_prior
 from cassini_bayes.model.mission.losses import prior_losses
 from cassini_bayes.model.mission.model import MissionModel, Part
 from cassini_bayes.model.terms import Variable
 from cassini_bayes.model.thrusts import ThrustDraws
-from cassini_bayes.results.groups import DENSITY, DENSITY_MEANING, drawn_groups
+from cassini_bayes.results.groups import (
+    DENSITY,
+    DENSITY_MEANING,
+    drawn_groups,
+    log_prior_variables,
+)
 from cassini_bayes.results.mission.fitting import MissionFit
 from cassini_bayes.results.mission.trend import MissionDraws
 from cassini_bayes.results.record import Fit, dataset_of, labelled
@@ -37,10 +42,7 @@ def mission_fit_record(fit: MissionFit, draws: MissionDraws, rng: np.random.Gene
         Never for a mission that was read: its events have different ids.
     """
     model, n = fit.model, len(draws.z)
-    levels = {
-        name: (branch_draws.thrust_n, branch_draws.level_n)
-        for name, branch_draws in draws.branches.items()
-    }
+    levels = {name: (own.thrust_n, own.level_n) for name, own in draws.branches.items()}
     z_before = model.space.sample(rng, n)
     levels_before = _prior_levels(fit, z_before, rng)
     result: dict[str, list[xr.Dataset]] = {}
@@ -55,13 +57,9 @@ def mission_fit_record(fit: MissionFit, draws: MissionDraws, rng: np.random.Gene
             result.setdefault(name, []).append(_of_events(group))
     groups = {name: _joined(parts, model) for name, parts in result.items()}
     for name, z in (("posterior", draws.z), ("prior", z_before)):
-        groups[name] = groups[name].assign(_walked(model, z))
+        groups[name] = groups[name].assign(walked_draws(model, z))
     blocks = model.space.log_prior_by_block(draws.z)
-    variables: dict[str, Variable] = {
-        block.replace(" ", "_").replace("-", "_"): ((), v, "1", f"log prior density, block {block}")
-        for block, v in blocks.items()
-    }
-    groups["log_prior"] = dataset_of(variables, {}, (1, n))
+    groups["log_prior"] = dataset_of(log_prior_variables(blocks), {}, (1, n))
     fixed = {
         name: labelled((), v, model.units[name], name) for name, v in model.space.fixed.items()
     }
@@ -97,18 +95,11 @@ def _part_draws(
     thrusts = ThrustDraws(thrust, np.zeros(n), level[:, -1] if level.shape[1] else level.sum(1))
     points = own_model.points_at(values, n)
     if conditional:
-        integrated = [
-            term.at(points).draw(thrust[:, fired], rng)
-            for term, fired in zip(own_model.terms, own_model.fired_of_term, strict=True)
-        ]
+        terms = [term.at(points) for term in own_model.terms]
+        integrated = draw_own(own_model, terms, thrust, rng)
     else:
-        normals = rng.standard_normal((n, len(own_model.event_ids), 3))
-        torque = own_model.torque_mean_n_m + own_model.torque_sd_n_m * normals
-        integrated = [
-            term.draw_prior(torque[:, events], rng)
-            for term, events in zip(own_model.terms, own_model.events_of_term, strict=True)
-        ]
-    return Draws(points.parameters, thrusts, tuple(integrated))
+        integrated = draw_own_prior(own_model, n, rng)
+    return Draws(points.parameters, thrusts, integrated)
 
 
 def _prior_levels(fit: MissionFit, z: Array, rng: np.random.Generator) -> BranchLevels:
@@ -132,14 +123,8 @@ def _prior_levels(fit: MissionFit, z: Array, rng: np.random.Generator) -> Branch
 def _density(part: Part, draws: Draws) -> xr.Dataset:
     """Log density of each of a part's events given everything."""
     model = part.model
-    points = model.points_at(draws.parameters, draws.size)
-    values = [
-        term.at(points).log_density(draws.thrusts.thrust_n[:, fired], integrated)
-        for term, fired, integrated in zip(
-            model.terms, model.fired_of_term, draws.integrated, strict=True
-        )
-    ]
-    variable: Variable = (("event",), np.concatenate(values, axis=1), "1", DENSITY_MEANING)
+    values = density_at(model, model.points_at(draws.parameters, draws.size), draws)
+    variable: Variable = (("event",), values, "1", DENSITY_MEANING)
     return dataset_of({DENSITY: variable}, {"event": list(model.event_ids)}, (1, draws.size))
 
 
@@ -160,7 +145,7 @@ def _joined(parts: Sequence[xr.Dataset], model: MissionModel) -> xr.Dataset:
     )
 
 
-def _walked(model: MissionModel, z: Array) -> dict[str, xr.DataArray]:
+def walked_draws(model: MissionModel, z: Array) -> dict[str, xr.DataArray]:
     """The mission's walked parameters."""
     return {
         name: labelled(("chain", "draw"), np.asarray(value)[None], model.units[name], name)

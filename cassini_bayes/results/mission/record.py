@@ -14,6 +14,7 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.mission.losses import Loss
 from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit
+from cassini_bayes.results.mission.groups import walked_draws
 from cassini_bayes.results.mission.trend import Trend
 from cassini_bayes.results.record import labelled
 
@@ -42,24 +43,19 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
     names = list(dict.fromkeys(n for branch in branches.values() for n in branch.thrusts.thrusters))
     events = fit.model.circumstances.events
     shape = (1, len(fit.z), len(events), len(names))
-    values = {key: np.full(shape, np.nan) for key in ("thrust_n", "normalised_thrust_n")}
-    for branch_draws in branches.values():
-        columns = np.array([names.index(name) for name in branch_draws.thrusts.thrusters])
-        place = np.ix_(branch_draws.thrusts.events, columns)
-        values["thrust_n"][0][:, place[0], place[1]] = branch_draws.thrust_n
-        values["normalised_thrust_n"][0][:, place[0], place[1]] = branch_draws.level_n
-    meanings = {
-        "thrust_n": "thrust in the event",
-        "normalised_thrust_n": "thrust level at the reference pressure",
+    thrust, level = np.full((2, *shape), np.nan)
+    for own in branches.values():
+        columns = np.array([names.index(name) for name in own.thrusts.thrusters])
+        rows, columns = np.ix_(own.thrusts.events, columns)
+        thrust[0][:, rows, columns] = own.thrust_n
+        level[0][:, rows, columns] = own.level_n
+    dims, meaning = ("chain", "draw", "event", "thruster"), "thrust level at the reference pressure"
+    data = {
+        "thrust_n": labelled(dims, thrust, "N", "thrust in the event"),
+        "normalised_thrust_n": labelled(dims, level, "N", meaning),
     }
-    dims = ("chain", "draw", "event", "thruster")
-    data = {key: labelled(dims, array, "N", meanings[key]) for key, array in values.items()}
-    for name, value in fit.model.space.to_parameters(trend.draws.z).items():
-        if np.ndim(value):
-            unit = fit.model.units[name]
-            data[name] = labelled(("chain", "draw"), np.asarray(value)[None], unit, name)
     return xr.Dataset(
-        data,
+        data | walked_draws(fit.model, trend.draws.z),
         coords={
             "chain": [0],
             "draw": np.arange(len(fit.z)),

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import gaussian_kde, norm
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.model.mission.losses import (
     DrawnLosses,
     Hypothesis,
@@ -108,12 +108,12 @@ def draw_branches(fit: MissionFit, rng: np.random.Generator) -> MissionDraws:
     result = {}
     for number, losses in enumerate(fit.losses):
         which = losses.draw_at(places, rng)
-        result[losses.branch] = _joined(
-            [
-                _draw_batch(fit, number, z[rows], which[rows], intercept[rows], rng)
-                for rows in fit.model.batches(len(z))
-            ]
-        )
+        lots = [
+            _draw_batch(fit, number, z[rows], which[rows], rng)
+            for rows in fit.model.batches(len(z))
+        ]
+        own = fit.model.branches[number]
+        result[losses.branch] = BranchDraws(own, *joined(lots), intercept)
     return MissionDraws(z, result)
 
 
@@ -122,10 +122,12 @@ def _draw_batch(
     number: int,
     z: Array,
     which: Sequence[Hypothesis],
-    intercept: Array,
     rng: np.random.Generator,
-) -> BranchDraws:
-    """Draws of one branch, by its number, at points (n, d) with their hypotheses."""
+) -> tuple[Array, Array, Array, DrawnLosses]:
+    """Levels, thrusts, shared coefficients and losses of one branch, by its number.
+
+    At points (n, d) with their hypotheses.
+    """
     first, back = distinct(z)
     branch = fit.model.at(z[first])[0][number].take(back)
     losses = draw_losses(loss_terms(branch), which, fit.prior.scale, rng)
@@ -133,21 +135,7 @@ def _draw_batch(
     thrusts = branch.thrusts
     lost = losses.lost(len(thrusts.events), len(thrusts.thrusters))
     level = thrusts.common_n * (1.0 - lost) + thrusts.levels_at(shared)
-    return BranchDraws(thrusts, level, thrust, shared, losses, intercept)
-
-
-def _joined(parts: Sequence[BranchDraws]) -> BranchDraws:
-    """All batches of one branch's draws, in their order."""
-    level, thrust, shared, intercept = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("level_n", "thrust_n", "shared", "intercept")
-    )
-    thruster, onset, share = (
-        np.concatenate([getattr(part.losses, name) for part in parts])
-        for name in ("thruster", "onset", "share")
-    )
-    losses = DrawnLosses(thruster, onset, share)
-    return BranchDraws(parts[0].thrusts, level, thrust, shared, losses, intercept)
+    return level, thrust, shared, losses
 
 
 def proportional_odds(model: MissionModel, z: Array) -> float | None:

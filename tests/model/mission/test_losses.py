@@ -11,6 +11,7 @@ from scipy.integrate import quad
 from scipy.stats import binom, halfnorm, norm, truncnorm
 from totals_cases import flight
 
+from cassini_bayes.computing.arrays import picked
 from cassini_bayes.model.mission.losses import (
     Loss,
     LossPrior,
@@ -112,7 +113,7 @@ def test_evidence_of_two_losses_is_their_integral(
 
 def test_hypotheses_add_up_whichever_is_the_reference(branch: BranchAt) -> None:
     """Probabilities add up to one; at one point the reference does not matter; pairs are there."""
-    terms = loss_terms(branch).at(slice(0, 1))
+    terms = picked(loss_terms(branch), slice(0, 1))
     prior = LossPrior(0.1, SCALE)
     which = near_hypotheses(terms, prior, include=(Loss(6, 5), Loss(1, 7)))
     place = index_of_hypothesis(which, (Loss(1, 7), Loss(6, 5)))
@@ -176,7 +177,7 @@ def test_drawn_losses_have_the_moments_of_their_normal(branch: BranchAt) -> None
     """Drawn sizes of one loss against scipy's truncated normal, and no size without a loss."""
     terms = loss_terms(branch)
     n = 4_000
-    many = terms.at(np.zeros(n, dtype=np.int64))
+    many = picked(terms, np.zeros(n, dtype=np.int64))
     which = [(Loss(5, 5),)] * (n - 1) + [()]
     drawn = draw_losses(many, which, SCALE, np.random.default_rng(1))
     precision = terms.square[0, 5, 5] + SCALE**-2

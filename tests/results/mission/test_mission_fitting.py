@@ -39,7 +39,7 @@ def test_chained_draws_equal_the_joint_fit() -> None:
     prior, size = loss_prior(priors), {"draws": 800, "proposals": 1_500}
     joint = fit_mission(whole, prior, np.random.default_rng(1), **size)
     begun = fit_mission(short, prior, np.random.default_rng(2), **size)
-    chained = fit_mission(whole, prior, np.random.default_rng(3), earlier=begun.draws, **size)
+    chained = fit_mission(whole, prior, np.random.default_rng(3), earlier=begun, **size)
     assert joint.converged
     assert chained.converged
     assert chained.log_evidence == pytest.approx(joint.log_evidence, abs=0.4)
