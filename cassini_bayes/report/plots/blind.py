@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, styled_figure
 
 EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
 """Of sizes in σ: finer where detection turns from chance to sure."""
@@ -20,8 +19,7 @@ TICKS = (0, 1, 2, 3, 5, 10, 30, 100)  # of the same axis
 
 def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.DataFrame) -> Figure:
     """Power and coverage against size, reliability, p-values and false alarms on null, rates."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+    with styled_figure(10.0, 6.6) as figure:
         upper, lower = figure.subplots(2, 3)
         single = trials[(trials["sigma"] != "") & ~trials["sigma"].str.contains(r"\+|nan")]
         known = single[single["stratum"] != "uncatalogued"]
@@ -123,8 +121,7 @@ def conditions_figure(counted: pd.DataFrame) -> Figure:
     names, levels = list(counted["rate"].unique()), counted[["condition", "level"]]
     levels = levels.drop_duplicates().agg(": ".join, axis=1).replace("all: all", "all")
     places = levels.str.replace("_", " ").to_list()
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.2 + 0.23 * len(places)), layout="constrained")
+    with styled_figure(10.0, 1.2 + 0.23 * len(places)) as figure:
         each = figure.subplots(1, len(names), sharey=True)
         for axes, name in zip(each, names, strict=True):
             rows = counted[counted["rate"] == name].reset_index(drop=True)
@@ -147,11 +144,7 @@ def conditions_figure(counted: pd.DataFrame) -> Figure:
 
 def confusion_figure(matrix: pd.DataFrame) -> Figure:
     """Hidden kind against the kind named first; numbers are trials."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(
-            figsize=(2.6 + 0.42 * matrix.shape[1], 2.2 + 0.3 * matrix.shape[0]),
-            layout="constrained",
-        )
+    with styled_figure(2.6 + 0.42 * matrix.shape[1], 2.2 + 0.3 * matrix.shape[0]) as figure:
         axes = figure.subplots()
         share = matrix.to_numpy() / matrix.to_numpy().sum(1, keepdims=True)
         axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binom
 
-from cassini_bayes.report.plots.style import POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.style import POSTERIOR, VERDICT_COLOURS, styled_figure
 from cassini_bayes.results.ranks import Ranks
 
 
@@ -22,8 +21,7 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
     distribution of the ranks minus the uniform one, every parameter, with the 99 % band of a single
     parameter at each rank.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 3.1 * len(ranks) + 0.4), layout="constrained")
+    with styled_figure(10.0, 3.1 * len(ranks) + 0.4) as figure:
         axes = figure.subplots(len(ranks), 2, squeeze=False)
         for (left, right), (label, every) in zip(axes, ranks.items(), strict=True):
             campaign = every.of_fitted()

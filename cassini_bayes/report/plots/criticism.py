@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -23,7 +22,7 @@ from cassini_bayes.diagnosis.correlations import (
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.style import INK, POSTERIOR, VERDICT_COLOURS, styled_figure
 
 MOST_CAUSES: Final = 12  # bars that fit one column
 LINEAR_NATS: Final = 10.0  # up to which the axis of log Bayes factors is linear
@@ -50,8 +49,7 @@ def innovation_figure(
     """
     if not baseline:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(baseline) + 0.6), layout="constrained")
+    with styled_figure(10.0, 1.9 * len(baseline) + 0.6) as figure:
         axes = figure.subplots(len(baseline), 3, squeeze=False, sharex="row")
         for row, event in enumerate(baseline):
             step = max(1, len(event.time_s) // _POINTS)
@@ -91,8 +89,7 @@ def correlation_figure(
     """
     names = list(dict.fromkeys(t.driver for t in before.drivers if t.event == event))
     places = dict(zip(names, range(len(names) - 1, -1, -1), strict=True))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 0.2 * len(names) + 1.5), layout="constrained")
+    with styled_figure(10.0, 0.2 * len(names) + 1.5) as figure:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         for panel, axis in zip(panels, "xyz", strict=True):
             panel.axvspan(-before.family_z, before.family_z, color=FAMILY_BAND, lw=0)
@@ -151,8 +148,7 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
     events = list(dict.fromkeys(white.event for white in before.whiteness))
     if not events:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.7 * len(events) + 0.8), layout="constrained")
+    with styled_figure(10.0, 1.7 * len(events) + 0.8) as figure:
         panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
         for row, event in enumerate(events):
             for panel, axis in zip(panels[row], "xyz", strict=True):
@@ -181,8 +177,7 @@ def discrepancy_figure(curves: Sequence[Curve]) -> Figure | None:
     """Unexplained momentum against time per event and body axis, mean and 90 % interval."""
     if not curves:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(curves) + 0.7), layout="constrained")
+    with styled_figure(10.0, 1.9 * len(curves) + 0.7) as figure:
         panels = figure.subplots(len(curves), 3, squeeze=False, sharex="row", sharey="row")
         for row, curve in enumerate(curves):
             for c, axis in enumerate("XYZ"):
@@ -208,8 +203,7 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
     """Posterior probability and log Bayes factor against ``none`` of the most probable causes."""
     shown = list(causes[:MOST_CAUSES])[::-1]
     names = [str(cause["name"]) for cause in shown]
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(8.6, 0.27 * len(shown) + 1.3), layout="constrained")
+    with styled_figure(8.6, 0.27 * len(shown) + 1.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         colours = ["#777777" if name in ("none", "unknown") else POSTERIOR for name in names]
         places = np.arange(len(shown))
@@ -231,8 +225,7 @@ def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
     """Probability of causes (rows, most probable first) at prior widths (columns)."""
     shown = probability.head(most).iloc[::-1]
     colours = ("#a6c4e0", POSTERIOR, "#d95f02")
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.4, 0.45 * len(shown) + 1.2), layout="constrained")
+    with styled_figure(7.4, 0.45 * len(shown) + 1.2) as figure:
         axes = figure.subplots()
         places = np.arange(len(shown))
         for i, width in enumerate(shown.columns):

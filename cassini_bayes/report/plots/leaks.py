@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.style import INK, STYLE
+from cassini_bayes.report.plots.style import INK, styled_figure
 
 LEAST_DETECTED: Final = 5
 """Leaks whose median delay is shown: one of fewer is chance."""
@@ -24,8 +23,7 @@ def leak_figure(table: pd.DataFrame) -> Figure:
     ``table`` has the columns monitor, leak_n (intervals, N), leaks, found and delay_s. Monitors
     come in pairs, of one row and of several: thin and thick lines of one colour.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    with styled_figure(10.0, 4.4) as figure:
         left, right = figure.subplots(1, 2)
         for i, (label, rows) in enumerate(table.groupby("monitor", observed=True)):
             middle = [1e3 * np.sqrt(max(each.left, 1e-5) * each.right) for each in rows["leak_n"]]
@@ -51,8 +49,7 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
 
     ``after`` has the columns turn_deg, after_s and sigma, ``least`` stay_s, turn_deg and leak_n.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    with styled_figure(10.0, 4.0) as figure:
         left, right = figure.subplots(1, 2)
         for turn, rows in after.groupby("turn_deg"):
             left.plot(rows["after_s"], rows["sigma"], color=INK)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.style import INK, POSTERIOR, VERDICT_COLOURS, styled_figure
 
 MOST_CAUSES = 7  # bars that fit one column
 GREY = "#777777"
@@ -27,8 +26,7 @@ def on_time_figure(
     """
     names = [str(name) for name in probability.index[:MOST_CAUSES]][::-1]
     first = str(probability.index[0])
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    with styled_figure(9.6, 4.4) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
         colours = [GREY if name in ("none", "unknown") else POSTERIOR for name in names]
         left.barh(range(len(names)), [log_bayes_factor[name] for name in names], color=colours)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -16,7 +15,7 @@ from cassini_bayes.diagnosis.overlay import Channel, Overlay
 from cassini_bayes.diagnosis.spectrum import RARE, Spectrum
 from cassini_bayes.report.plots.criticism import EXTENDED
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, styled_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,8 +40,7 @@ def overlay_figure(overlay: Overlay) -> Figure:
     rates = [channel for channel in overlay.channels if channel.unit == "mrad/s"]
     wheels = [channel for channel in overlay.channels if channel.unit != "mrad/s"]
     columns = max(len(rates), len(wheels))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 8.6), layout="constrained")
+    with styled_figure(10.0, 8.6) as figure:
         panels = figure.subplots(
             4, columns, squeeze=False, sharex=True, gridspec_kw={"height_ratios": (3, 2, 3, 2)}
         )
@@ -105,8 +103,7 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
     events = list(dict.fromkeys(spectrum.event for spectrum in spectra))
     if not events:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(events) + 0.6), layout="constrained")
+    with styled_figure(10.0, 1.9 * len(events) + 0.6) as figure:
         panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
         for row, event in enumerate(events):
             of_event = [spectrum for spectrum in spectra if spectrum.event == event]
@@ -137,8 +134,7 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
 
 def trade_figure(trade: Trade) -> Figure:
     """Corner of a cause's size and the free quantity it trades with most, priors drawn in."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(6.2, 5.6), layout="constrained")
+    with styled_figure(6.2, 5.6) as figure:
         panels = figure.subplots(2, 2)
         panels[0, 1].set_visible(False)
         ends = [_ends(trade, which) for which in range(2)]

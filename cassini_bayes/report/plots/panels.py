@@ -8,21 +8,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.style import (
-    event_axis,
-    new_figure,
-)
+from cassini_bayes.report.plots.style import event_axis, new_figure, symbols
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
 
 PANELS_ACROSS: Final = 4  # a page
 NARROWEST_IN: Final = 9.2  # title and legend need it
-LEGEND_COLUMN_IN: Final = 3.0  # inches for one entry
 THRUST_LABEL: Final = "thrust [N]"
 
 
@@ -81,10 +75,4 @@ def bars(
     """Intervals as thick lines with a white symbol at the mean, beside each slot."""
     x = np.arange(len(mean)) + offset
     axes.vlines(x, low, high, color=colour, lw=width, zorder=4)
-    axes.plot(x, mean, ls="", marker=marker, ms=5.0, mfc="white", mec=colour, mew=1.1, zorder=5)
-
-
-def legend_below(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
-    """A legend under the panels, as many columns as fit."""
-    columns = int(figure.get_figwidth() / LEGEND_COLUMN_IN)
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, len(handles)))
+    symbols(axes, x, mean, marker, 5.0, colour, hollow=True, mew=1.1, zorder=5)

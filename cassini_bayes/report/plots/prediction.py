@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,7 +15,7 @@ from cassini_bayes.prediction.leave_one_out import HeldOut, draws_by_kind, outco
 from cassini_bayes.prediction.navigation import TOLERANCE, Requirement
 from cassini_bayes.prediction.planning import Plan
 from cassini_bayes.prediction.predict import SOURCES, Prediction
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, event_axis, new_figure
+from cassini_bayes.report.plots.style import INK, POSTERIOR, event_axis, styled_figure
 
 COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
     "gsw_ideal": ("ideal", "x", "#999933"),
@@ -39,8 +38,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
     known = {label: vector for label, vector in vectors.items() if vector is not None}
     grams = prediction.hydrazine_g
     rows = 2 if known or grams is not None else 1
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 2.8 * rows + 0.4 * (rows == 1))
+    with styled_figure(9.0, 2.8 * rows + 0.4 * (rows == 1)) as figure:
         grid = figure.subplots(rows, 2, squeeze=False)
         names = [name.replace("_", "–") for name in prediction.unit_names()]
         _intervals(grid[0, 0], prediction.unit_on_time_s(), names, "on-time [s]")
@@ -109,8 +107,7 @@ def leave_one_out_figure(
     folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]
 ) -> Figure:
     """On-times of every held-out event less flight: intervals, and the published columns."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(11.0, 6.4)
+    with styled_figure(11.0, 6.4) as figure:
         grid = figure.subplots(2, -(-len(folds) // 2), sharey=True, squeeze=False).ravel()
         for axes, held in zip(grid, folds, strict=False):
             _event_panel(axes, held, columns)
@@ -162,8 +159,7 @@ def _event_panel(axes: Axes, held: HeldOut, columns: Mapping[str, Sequence[Total
 
 def totals_figure(folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]) -> Figure:
     """ΔVz and hydrazine of every held-out event less flight, with the published columns."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 4.0)
+    with styled_figure(9.0, 4.0) as figure:
         panels = figure.subplots(1, 2)
         names = [held.event.id.removesuffix("-bias") for held in folds]
         for axes, kind, label in (
@@ -201,8 +197,7 @@ def _totals_slot(
 
 def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
     """Spread of the predicted ΔVz per event, what is left without each source, and 1 %."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 4.0)
+    with styled_figure(9.0, 4.0) as figure:
         axes = figure.subplots()
         names = [name.removesuffix("-bias") for name in judged]
         event_axis(axes, names)
@@ -229,8 +224,7 @@ def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
 
 def plan_figure(found: Plan) -> Figure:
     """Expected information on the quantity against hydrazine, with the best trade-offs."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(6.4, 4.2)
+    with styled_figure(6.4, 4.2) as figure:
         axes = figure.subplots()
         grams = [c.cost for c in found.candidates]
         nats = [c.information_nats for c in found.candidates]

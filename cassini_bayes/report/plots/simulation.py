@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, styled_figure
 from cassini_bayes.simulation import SimulatedEvent
 
 LEAST_MOMENTUM_N_M_S = 1e-3
@@ -33,8 +32,7 @@ def motion_figure(event: SimulatedEvent) -> Figure:
     drawn as their drift, and momentum is what the event gained in the inertial frame, so that a
     flat line means conservation.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.5, 9.5), layout="constrained")
+    with styled_figure(7.5, 9.5) as figure:
         panels = figure.subplots(5, 1, sharex=True)
         motion = event.motion
         _small(panels[0], motion.time_s, motion.attitude_error_rad, ("attitude error", "rad"))
@@ -135,8 +133,7 @@ def comparison_figure(events: Sequence[OnTimePanel], units: Sequence[str]) -> Fi
     """On-times of every event and unit: simulated (mean ± sd over seeds) and the printed columns,
     as differences to flight.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.5, 8.0), layout="constrained")
+    with styled_figure(7.5, 8.0) as figure:
         panels = figure.subplots((len(events) + 1) // 2, 2, sharex=True).ravel()
         place = np.arange(len(units))
         for axes, shown in zip(panels, events, strict=False):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -15,7 +14,7 @@ from scipy.stats import gaussian_kde
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
-from cassini_bayes.report.plots.style import INK, STYLE, new_figure
+from cassini_bayes.report.plots.style import INK, styled_figure
 
 KNOBS_SHOWN: Final = 16  # rows of a tornado on one page
 PANELS_ACROSS: Final = 4  # a page
@@ -38,8 +37,7 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
     """
     rows = table[(table["quantity"] == quantity) & table["reported"] & (table["kind"] != "without")]
     knobs = _knobs(rows)
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.6, 1.9 + 0.27 * len(knobs))
+    with styled_figure(9.6, 1.9 + 0.27 * len(knobs)) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.35, 1.0))
         for axes, value, error, neutral in (
             (left, "shift_sd", "shift_error", 0.0),
@@ -146,8 +144,7 @@ def overlay_figure(
     across = min(PANELS_ACROSS, len(groups))
     down = -(-len(groups) // across)
     grid = _overlay_grid(base, [cell[3] for cell in shown])
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(2.9 * across + 0.2, 2.45 * down + 0.5)
+    with styled_figure(2.9 * across + 0.2, 2.45 * down + 0.5) as figure:
         panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
         for axes, group in zip(panels, groups, strict=False):
             cells_of_group = [cell for cell in shown if cell[0] == group]
@@ -226,8 +223,7 @@ def worth_figure(knowledge: pd.DataFrame, worth: pd.DataFrame) -> Figure | None:
     if not worth.empty:
         parts.append(("left out", 100.0 * (_grid(worth, "event", quantities) - 1.0)))
     rows = sum(len(part) for _, part in parts)
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(max(7.0, 2.6 + 0.62 * len(quantities)), 1.9 + 0.27 * rows)
+    with styled_figure(max(7.0, 2.6 + 0.62 * len(quantities)), 1.9 + 0.27 * rows) as figure:
         panels = figure.subplots(
             len(parts), 1, squeeze=False, sharex=True, height_ratios=[len(p) for _, p in parts]
         ).ravel()

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, styled_figure
 
 PANELS: Final = (("articulation", 1e3, "platform off by, mrad"), ("leak", 1e6, "leak, µN"))
 _WRONG: Final = "#CC6677"
@@ -22,8 +21,7 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
     marker is a trial in which another cause was first.
     """
     events = list(dict.fromkeys(table["event"]))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(8.0, 4.0 * len(events)), layout="constrained")
+    with styled_figure(8.0, 4.0 * len(events)) as figure:
         grid = figure.subplots(len(events), len(PANELS), squeeze=False)
         for line, event in zip(grid, events, strict=True):
             for axes, (stratum, factor, label) in zip(line, PANELS, strict=True):
