@@ -8,8 +8,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
 from cassini_bayes.balance.linearised import EventRows
@@ -21,8 +19,17 @@ from cassini_bayes.diagnosis.correlations import (
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
+from cassini_bayes.report.plots.panels import axis_panels
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, VERDICT_COLOURS, styled_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    VERDICT_COLOURS,
+    legend_below,
+    line,
+    patch,
+    styled_figure,
+)
 
 MOST_CAUSES: Final = 12  # bars that fit one column
 LINEAR_NATS: Final = 10.0  # up to which the axis of log Bayes factors is linear
@@ -50,11 +57,12 @@ def innovation_figure(
     if not baseline:
         return None
     with styled_figure(10.0, 1.9 * len(baseline) + 0.6) as figure:
-        axes = figure.subplots(len(baseline), 3, squeeze=False, sharex="row")
+        events = [event.event for event in baseline]
+        across, up = "time since first row (s)", "innovation (N m s)"
+        panels = axis_panels(figure, events, across, up, sharex="row")
         for row, event in enumerate(baseline):
             step = max(1, len(event.time_s) // _POINTS)
-            for c, axis in enumerate("XYZ"):
-                panel = axes[row, c]
+            for c, panel in enumerate(panels[row]):
                 residual = event.residual_n_m_s[:, c]
                 style = {"ms": 1.2, "color": "#c4c4c4", "rasterized": True}
                 panel.plot(event.time_s[::step], residual[::step], ".", **style)
@@ -68,12 +76,7 @@ def innovation_figure(
                 panel.axhline(0.0, lw=0.6, color=INK)
                 limit = 1.15 * float(np.quantile(np.abs(residual), 0.997))
                 panel.set_ylim(-limit, limit)
-                panel.set_title(f"{event.event}, {axis}", loc="left")
-                if row == len(baseline) - 1:
-                    panel.set_xlabel("time since first row (s)")
-                if c == 0:
-                    panel.set_ylabel("innovation (N m s)")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
+        handles, labels = panels[0, 0].get_legend_handles_labels()
         labels = [f"{label}: mean of {WINDOW_ROWS} rows" for label in labels]
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
@@ -101,9 +104,8 @@ def correlation_figure(
                 panel.plot([t.z for t in tests_of], [places[t.driver] for t in tests_of], **style)
             for t in before.drivers:
                 if _untested(t, event, axis):
-                    panel.text(
-                        0.0, places[t.driver], "no test", ha="center", va="center", fontsize=6.5
-                    )
+                    place = {"ha": "center", "va": "center"}
+                    panel.text(0.0, places[t.driver], "no test", fontsize=6.5, **place)
             panel.set_title(f"{event}, {axis.upper()}", loc="left")
             panel.set_xscale("symlog", linthresh=10.0, linscale=3.0)
             panel.set_ylim(-0.7, len(names) - 0.3)
@@ -122,25 +124,19 @@ def _untested(tested: Tested, event: str, axis: str) -> bool:
 
 
 def _largest(shown: Sequence[InnovationTests | None], event: str) -> list[float]:
-    tests = [
-        t
-        for tests_of in shown
-        if tests_of is not None
-        for t in tests_of.drivers
-        if t.event == event
-    ]
-    return [abs(t.z) for t in tests if np.isfinite(t.z)]
+    tests = [t for tests_of in shown if tests_of is not None for t in tests_of.drivers]
+    return [abs(t.z) for t in tests if t.event == event and np.isfinite(t.z)]
 
 
 def _band_legend(
     figure: Figure, family: float, after: InnovationTests | None, what: str, unit: str
 ) -> None:
-    lines = [Line2D([], [], **BEFORE)] + ([] if after is None else [Line2D([], [], **AFTER)])
-    patches = [
-        Patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
-        Patch(color=FAMILY_BAND, label=f"95 % of {what} (±{family:.2f} {unit})"),
+    handles = [
+        *(line(**look) for look in ([BEFORE] if after is None else [BEFORE, AFTER])),
+        patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
+        patch(color=FAMILY_BAND, label=f"95 % of {what} (±{family:.2f} {unit})"),
     ]
-    figure.legend(handles=[*lines, *patches], loc="outside lower center", ncols=4)
+    legend_below(figure, handles, ncols=4)
 
 
 def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> Figure | None:
@@ -149,9 +145,10 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
     if not events:
         return None
     with styled_figure(10.0, 1.7 * len(events) + 0.8) as figure:
-        panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
-        for row, event in enumerate(events):
-            for panel, axis in zip(panels[row], "xyz", strict=True):
+        labels = ("lag (rows)", "autocorrelation (1)")
+        panels = axis_panels(figure, events, *labels, sharex=True, sharey="row")
+        for row, event in zip(panels, events, strict=True):
+            for panel, axis in zip(row, "xyz", strict=True):
                 for shown, style in ((before, BEFORE), (after, AFTER)):
                     curves = () if shown is None else shown.whiteness
                     for curve in (w for w in curves if (w.event, w.axis) == (event, axis)):
@@ -165,10 +162,6 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
                                 panel.axhspan(-z * unit, z * unit, color=colour, lw=0)
                         panel.plot(lags, curve.value, **style)
                 panel.axhline(0.0, lw=0.6, color=INK)
-                panel.set_title(f"{event}, {axis.upper()}", loc="left")
-            panels[row, 0].set_ylabel("autocorrelation (1)")
-        for panel in panels[-1]:
-            panel.set_xlabel("lag (rows)")
         _band_legend(figure, before.family_lag_z, after, "all lags, axes and events", "/√rows")
     return figure
 
@@ -178,10 +171,11 @@ def discrepancy_figure(curves: Sequence[Curve]) -> Figure | None:
     if not curves:
         return None
     with styled_figure(10.0, 1.9 * len(curves) + 0.7) as figure:
-        panels = figure.subplots(len(curves), 3, squeeze=False, sharex="row", sharey="row")
-        for row, curve in enumerate(curves):
-            for c, axis in enumerate("XYZ"):
-                panel = panels[row, c]
+        events = [curve.event for curve in curves]
+        across, up = "time since first row (s)", "unexplained (N m s)"
+        panels = axis_panels(figure, events, across, up, sharex="row", sharey="row")
+        for row, curve in zip(panels, curves, strict=True):
+            for c, panel in enumerate(row):
                 panel.fill_between(
                     curve.time_s, curve.low[:, c], curve.high[:, c], color=POSTERIOR, alpha=0.22,
                     lw=0, label="pointwise central 90 % credible interval",
@@ -190,12 +184,7 @@ def discrepancy_figure(curves: Sequence[Curve]) -> Figure | None:
                     curve.time_s, curve.mean[:, c], color=POSTERIOR, lw=1.4, label="posterior mean"
                 )
                 panel.axhline(0.0, lw=0.6, color=INK)
-                panel.set_title(f"{curve.event}, {axis}", loc="left")
-                if row == len(curves) - 1:
-                    panel.set_xlabel("time since first row (s)")
-            panels[row, 0].set_ylabel("unexplained (N m s)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        legend_below(figure, panels[0, 0], ncols=2)
     return figure
 
 

@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from cassini_bayes.report.plots.panels import (
-    bars,
-    finish,
-    limits_of,
-    outer_labels,
-    thruster_panels,
-)
+from cassini_bayes.report.plots.panels import bars, finish, limits_of, outer_labels, thruster_panels
 from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
 from cassini_bayes.report.plots.style import (
     INK,

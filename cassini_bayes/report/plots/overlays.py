@@ -14,8 +14,16 @@ from cassini_bayes.diagnosis.nuisances import Trade
 from cassini_bayes.diagnosis.overlay import Channel, Overlay
 from cassini_bayes.diagnosis.spectrum import RARE, Spectrum
 from cassini_bayes.report.plots.criticism import EXTENDED
+from cassini_bayes.report.plots.panels import axis_panels
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, styled_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    PRIOR,
+    PRIOR_LINE,
+    legend_below,
+    styled_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,10 +62,8 @@ def overlay_figure(overlay: Overlay) -> Figure:
                 spare.set_visible(False)
         for panel in panels[-1]:
             panel.set_xlabel("time since first row (s)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=len(labels), markerscale=4.0
-        )
+        entries = len(panels[0, 0].get_legend_handles_labels()[0])
+        legend_below(figure, panels[0, 0], ncols=entries, markerscale=4.0)
     return figure
 
 
@@ -104,10 +110,11 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
     if not events:
         return None
     with styled_figure(10.0, 1.9 * len(events) + 0.6) as figure:
-        panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
-        for row, event in enumerate(events):
+        labels = ("frequency (Hz)", "power (1)")
+        panels = axis_panels(figure, events, *labels, sharex=True, sharey="row")
+        for row, event in zip(panels, events, strict=True):
             of_event = [spectrum for spectrum in spectra if spectrum.event == event]
-            for panel, spectrum in zip(panels[row], of_event, strict=True):
+            for panel, spectrum in zip(row, of_event, strict=True):
                 power = np.maximum(spectrum.power, 1e-3)
                 panel.loglog(spectrum.frequency_hz, power, lw=0.7, color=POSTERIOR)
                 panel.axhline(1.0, lw=0.6, color=INK)
@@ -115,20 +122,11 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
                 panel.axhline(level, lw=0.8, ls="--", color=PRIOR_LINE)
                 if spectrum.chance < RARE:
                     at = float(spectrum.frequency_hz[spectrum.peak])
-                    panel.annotate(
-                        f"{at:.3g} Hz",
-                        (at, power[spectrum.peak]),
-                        xytext=(4, 2),
-                        textcoords="offset points",
-                        fontsize=8,
-                        color=PRIOR_LINE,
-                    )
+                    beside = {"xytext": (4, 2), "textcoords": "offset points"}
+                    place, look = (at, power[spectrum.peak]), {"fontsize": 8, "color": PRIOR_LINE}
+                    panel.annotate(f"{at:.3g} Hz", place, **beside, **look)
                 label_powers(panel.xaxis)
                 label_powers(panel.yaxis)
-                panel.set_title(f"{event}, {spectrum.axis.upper()}", loc="left")
-            panels[row, 0].set_ylabel("power (1)")
-        for panel in panels[-1]:
-            panel.set_xlabel("frequency (Hz)")
     return figure
 
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -116,8 +117,15 @@ def headline(figure: Figure, text: str, **place: Any) -> None:
     figure.suptitle(text, fontsize=11.5, fontweight="bold", color=INK, **place)
 
 
+def label_axes(axes: Axes, across: str, up: str, title: str = "") -> None:
+    """What stands along both axes, and a title at the left."""
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    axes.set_title(title, loc="left")
+
+
 def legend_below(
-    figure: Figure, entries: Sequence[Handle] | Axes, ncols: int | None = None, **look: Any
+    figure: Figure, entries: Sequence[Artist] | Axes, ncols: int | None = None, **look: Any
 ) -> None:
     """A legend under the panels, of entries or of what an axes shows; as many columns as fit."""
     handles, labels = (

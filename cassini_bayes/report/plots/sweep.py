@@ -13,11 +13,11 @@ from matplotlib.lines import Line2D
 from scipy.stats import gaussian_kde
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.report.plots.panels import PANELS_ACROSS, some_panels
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
-from cassini_bayes.report.plots.style import INK, styled_figure
+from cassini_bayes.report.plots.style import INK, legend_below, styled_figure, symbol
 
 KNOBS_SHOWN: Final = 16  # rows of a tornado on one page
-PANELS_ACROSS: Final = 4  # a page
 _GRID: Final = 300  # points of a curve
 _TALLEST: Final = 4.0  # peaks above this many times the baseline's are cut
 _FARTHEST: Final = 1.5  # and tails this many of the baseline's ranges beyond it
@@ -52,7 +52,7 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
         left.set_xlabel("shift of the mean [posterior standard deviations]")
         right.set_xlabel("ratio of standard deviations")
         figure.suptitle(quantity, fontweight="bold", x=0.01, ha="left")
-        figure.legend(handles=_tornado_legend(rows), loc="outside lower center", ncols=5)
+        legend_below(figure, _tornado_legend(rows), ncols=5)
     return figure
 
 
@@ -105,25 +105,17 @@ def _tornado_legend(rows: pd.DataFrame) -> list[Line2D]:
     widths = list(dict.fromkeys(rows[rows["kind"] == "width"]["change"]))
     families = list(dict.fromkeys(rows[rows["kind"] == "family"]["change"]))
 
-    def handle(marker: str, size: float, colour: str, label: str, face: str | None) -> Line2D:
-        return Line2D([], [], ls="", marker=marker, ms=size, color=colour, mfc=face, label=label)
-
-    result = [
-        handle("o", _SIZES[min(i, 3)], _KIND_COLOURS["width"], label, _KIND_COLOURS["width"])
-        for i, label in enumerate(widths)
-    ]
-    shift = _KIND_COLOURS["shift"]
+    known = [("width", label, label) for label in widths]
     if (rows["kind"] == "shift").any():
-        result += [
-            handle("<", 6.0, shift, "centre moved down", shift),
-            handle(">", 6.0, shift, "centre moved up", shift),
-        ]
-    family = _KIND_COLOURS["family"]
-    result += [handle(_FAMILY_MARKERS.get(f, "o"), 5.0, family, f, family) for f in families]
+        known += [("shift", "-", "centre moved down"), ("shift", "+", "centre moved up")]
+    known += [("family", label, label) for label in families]
     return [
-        *result,
-        handle("o", 5.0, INK, "weighted draws", INK),
-        handle("o", 5.0, INK, "fitted anew", "white"),
+        *(
+            symbol(*_symbol(kind, change, i), _KIND_COLOURS[kind], label)
+            for i, (kind, change, label) in enumerate(known)
+        ),
+        symbol("o", 5.0, INK, "weighted draws"),
+        symbol("o", 5.0, INK, "fitted anew", hollow=True),
     ]
 
 
@@ -145,16 +137,14 @@ def overlay_figure(
     down = -(-len(groups) // across)
     grid = _overlay_grid(base, [cell[3] for cell in shown])
     with styled_figure(2.9 * across + 0.2, 2.45 * down + 0.5) as figure:
-        panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
-        for axes, group in zip(panels, groups, strict=False):
+        panels = some_panels(figure, len(groups), across, sharex=True, sharey=True)
+        for axes, group in zip(panels, groups, strict=True):
             cells_of_group = [cell for cell in shown if cell[0] == group]
             _overlay_panel(axes, group, base, cells_of_group, grid, scale)
-        for axes in panels[len(groups) :]:
-            axes.remove()
         tallest = max(float(_density(cell[3], grid).max()) for cell in shown)
         own_peak = float(_density(base, grid).max())
         panels[0].set_ylim(0.0, 1.05 * min(max(tallest, 1.8 * own_peak), _TALLEST * own_peak))
-        for i, axes in enumerate(panels[: len(groups)]):
+        for i, axes in enumerate(panels):
             if i + across >= len(groups):
                 axes.tick_params(axis="x", labelbottom=True)
                 axes.set_xlabel(f"[{scale.unit}]")

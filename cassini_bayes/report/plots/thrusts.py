@@ -9,13 +9,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.panels import (
-    bars,
-    finish,
-    limits_of,
-    outer_labels,
-    thruster_panels,
-)
+from cassini_bayes.report.plots.panels import bars, finish, limits_of, outer_labels, thruster_panels
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT, short_events
 from cassini_bayes.report.plots.style import (
     BASELINE,
