@@ -8,7 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binom
 
-from cassini_bayes.report.plots.style import POSTERIOR, VERDICT_COLOURS, styled_figure
+from cassini_bayes.report.plots.style import (
+    POSTERIOR,
+    VERDICT_COLOURS,
+    label_axes,
+    legend_below,
+    styled_figure,
+)
 from cassini_bayes.results.ranks import Ranks
 
 
@@ -34,9 +40,9 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
             outside = np.abs(coverage - 0.9) > tolerance
             colours = np.where(outside, VERDICT_COLOURS["conflict"], POSTERIOR)
             left.scatter(np.arange(p), coverage, s=8, c=colours, zorder=3)
-            left.set_xlabel("parameter, sorted by coverage")
-            left.set_ylabel("coverage of 90 % intervals\n(central, fraction)")
-            left.set_title(f"{label}: {n} repetitions, {p} parameters", loc="left")
+            up = "coverage of 90 % intervals\n(central, fraction)"
+            title = f"{label}: {n} repetitions, {p} parameters"
+            label_axes(left, "parameter, sorted by coverage", up, title)
             left.set_ylim(min(0.8, coverage.min() - 0.02), 1.0)
             grid = np.linspace(0.0, 1.0, 101)
             band = 2.576 * np.sqrt(grid * (1.0 - grid) / n)
@@ -44,8 +50,7 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
             for column in campaign.ranks.T:
                 difference = np.searchsorted(np.sort(column), grid, side="right") / n - grid
                 right.plot(grid, difference, lw=0.5, color=POSTERIOR, alpha=0.35)
-            right.set_xlabel("normalised rank of the truth among its posterior draws")
-            right.set_ylabel("ECDF of ranks − uniform\n(fraction)")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+            across = "normalised rank of the truth among its posterior draws"
+            label_axes(right, across, "ECDF of ranks − uniform\n(fraction)")
+        legend_below(figure, axes[0, 0], ncols=2)
     return figure

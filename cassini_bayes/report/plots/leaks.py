@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.style import INK, styled_figure
+from cassini_bayes.report.plots.style import INK, label_axes, styled_figure
 
 LEAST_DETECTED: Final = 5
 """Leaks whose median delay is shown: one of fewer is chance."""
@@ -56,8 +56,7 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
             last = (rows["after_s"].iloc[-1], rows["sigma"].iloc[-1])
             left.annotate(f" {turn:.0f}°", last, va="center", fontsize=8)
         left.axhline(5.0, lw=0.8, ls="--", color=INK)
-        left.set_xlabel("time after the turn, s")
-        left.set_ylabel("leak and torque apart, σ")
+        label_axes(left, "time after the turn, s", "leak and torque apart, σ")
         for stay, rows in least.groupby("stay_s"):
             right.plot(rows["turn_deg"], 1e3 * rows["leak_n"], color=INK)
             first = (rows["turn_deg"].iloc[0], 1e3 * rows["leak_n"].iloc[0])
@@ -72,8 +71,7 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
         shown = [tick for tick in ticks if low <= tick <= high]
         right.set_yticks(shown, [f"{tick:g}" for tick in shown])
         right.minorticks_off()
-        right.set_xlabel("turn, degrees")
-        right.set_ylabel("least leak told apart at 5 σ, mN")
+        label_axes(right, "turn, degrees", "least leak told apart at 5 σ, mN")
     return figure
 
 

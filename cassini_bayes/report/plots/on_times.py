@@ -9,7 +9,14 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, VERDICT_COLOURS, styled_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    VERDICT_COLOURS,
+    label_axes,
+    legend_below,
+    styled_figure,
+)
 
 MOST_CAUSES = 7  # bars that fit one column
 GREY = "#777777"
@@ -40,18 +47,11 @@ def on_time_figure(
             ("none", "none (ideal)", VERDICT_COLOURS["conflict"], "x"),
             ("first", first, POSTERIOR, "o"),
         ):
-            right.errorbar(
-                points["flight_s"],
-                points[f"{prefix}_s"],
-                yerr=np.asarray(points[f"{prefix}_half_s"]),
-                fmt=marker,
-                ms=4.0,
-                lw=0.0,
-                elinewidth=0.9,
-                color=colour,
-                label=f"{name}, central 90 % prediction interval",
-            )
-        right.set_xlabel("flight on-time of a thruster (s)")
-        right.set_ylabel("predicted from the other events (s)")
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+            look = {"ms": 4.0, "lw": 0.0, "elinewidth": 0.9, "color": colour}
+            x, y, half = (points[key] for key in ("flight_s", f"{prefix}_s", f"{prefix}_half_s"))
+            label = f"{name}, central 90 % prediction interval"
+            right.errorbar(x, y, yerr=np.asarray(half), fmt=marker, label=label, **look)
+        across, up = "flight on-time of a thruster (s)", "predicted from the other events (s)"
+        label_axes(right, across, up)
+        legend_below(figure, right, ncols=3)
     return figure

@@ -21,6 +21,7 @@ from cassini_bayes.report.plots.style import (
     POSTERIOR,
     PRIOR,
     PRIOR_LINE,
+    label_axes,
     legend_below,
     styled_figure,
 )
@@ -155,9 +156,8 @@ def trade_figure(trade: Trade) -> Figure:
             across.plot(*_ellipse(trade.posterior, share), lw=1.1, color=POSTERIOR)
         across.set_xlim(*ends[0])
         across.set_ylim(*ends[1])
-        across.set_xlabel(f"{trade.cause}: {trade.size}")
         name = f"{trade.quantity} ({trade.unit})" if trade.unit else trade.quantity
-        across.set_ylabel(name)
+        label_axes(across, f"{trade.cause}: {trade.size}", name)
         panels[1, 1].set_xlabel(name)
         correlation = f"{trade.correlation:+.2f}".replace("-", "−")
         panels[0, 0].set_title(f"correlation {correlation}", loc="left")

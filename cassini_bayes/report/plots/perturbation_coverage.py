@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from cassini_bayes.report.plots.style import INK, styled_figure
+from cassini_bayes.report.plots.style import INK, legend_below, line, styled_figure
 
 _COLOURS: Final = ("#CC6677", "#882255", "#999933", "#BB8800", "#4477AA", "#332288")
 _MARKERS: Final = ("s", "D", "^", "v", "o", "P")
@@ -39,11 +38,9 @@ def coverage_length_figure(table: pd.DataFrame, certain: str) -> Figure:
                     axes.set_ylabel("coverage [%]")
                 if row == len(readings) - 1:
                     axes.set_xlabel("mean length of the interval [mN]")
-        handles = [
-            Line2D([], [], ls="", marker=_MARKERS[i], color=_COLOURS[i], label=m)
-            for i, m in enumerate(methods)
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        looks = zip(_MARKERS, _COLOURS, methods, strict=False)
+        handles = [line(ls="", marker=m, color=c, label=method) for m, c, method in looks]
+        legend_below(figure, handles, ncols=3)
     return figure
 
 
