@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import pandas as pd
 
 from cassini_bayes.report.cells import Table
+from cassini_bayes.report.plots.quantities import interval, plus_minus
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
@@ -104,6 +105,15 @@ class SliderRow:
     interval: str
     left: float
     width: float
+
+    @classmethod
+    def of(
+        cls, mean: float, sd: float, ends: tuple[float, float], axis: tuple[float, float]
+    ) -> SliderRow:
+        """A mean with its interval on an axis between two values."""
+        low, high = axis
+        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in ends)
+        return cls(plus_minus(mean, sd), interval(*ends), left, round(right - left, 1))
 
 
 @dataclass(frozen=True)

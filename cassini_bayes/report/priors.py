@@ -11,7 +11,7 @@ import pandas as pd
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.report.page import PRIORS, Paragraph, Section, Slider, SliderPrior, SliderRow
-from cassini_bayes.report.plots.quantities import display_scale, interval, plus_minus
+from cassini_bayes.report.plots.quantities import display_scale, plus_minus
 from cassini_bayes.report.plots.tables import (
     Column,
     common_column,
@@ -150,8 +150,7 @@ def _row(effect: WidthEffect, i: int, j: int, axis: tuple[float, float]) -> Slid
     mean, sd, low, high = (
         float(v[i, j]) for v in (effect.mean, effect.sd, effect.low, effect.high)
     )
-    left, right = (round(100.0 * (v - axis[0]) / (axis[1] - axis[0]), 1) for v in (low, high))
-    return SliderRow(plus_minus(mean, sd), interval(low, high), left, round(right - left, 1))
+    return SliderRow.of(mean, sd, (low, high), axis)
 
 
 def _note(review: Review, effect: WidthEffect, i: int) -> str:
