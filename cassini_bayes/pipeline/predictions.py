@@ -127,13 +127,8 @@ class PredictionResult:
             "thruster": list(first.thrusters),
             "axis": list("xyz"),
         }
-        labelled = {
-            name: variable.assign_coords(
-                {dim: known[str(dim)] for dim in variable.dims if dim in known}
-            )
-            for name, variable in variables.items()
-        }
-        return draws_as_inference_data(labelled, "predictions")
+        labelled = xr.Dataset(variables, coords=known)
+        return draws_as_inference_data({name: labelled[name] for name in variables}, "predictions")
 
     def as_record(self, extra: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
         """Everything as plain JSON types; ``extra`` has more to say of each bias."""
@@ -399,17 +394,15 @@ def _requests(
 ) -> tuple[BiasRequest, ...]:
     """The planned biases, checked against the fit; options fill in what a request leaves open."""
     spacecraft = sources.model.spacecraft
+    result: tuple[BiasRequest, ...]
     if isinstance(bias, BiasRequest):
-        result: tuple[BiasRequest, ...] = (bias,)
-    elif isinstance(bias, str | Path):
-        is_table = str(bias).endswith(".csv")
-        result = (
-            read_requests(Path(bias), spacecraft)
-            if is_table
-            else (parse_bias(str(bias), spacecraft),)
-        )
-    else:
+        result = (bias,)
+    elif not isinstance(bias, str | Path):
         result = tuple(bias)
+    elif str(bias).endswith(".csv"):
+        result = read_requests(Path(bias), spacecraft)
+    else:
+        result = (parse_bias(str(bias), spacecraft),)
     when = None if epoch is None else parse_epoch(epoch)
     turned = None if quaternion is None else parse_quaternion(quaternion)
     filled = tuple(

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 import tomli_w
@@ -24,6 +24,7 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
+from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.record import Fit, read_fit
@@ -36,16 +37,6 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 FOLDER: Final = "sweep"
-
-
-class Reporter(Protocol):
-    """How a sweep reports what it is doing."""
-
-    def log(self, text: str) -> None:
-        """One line about a stage that begins or has ended."""
-
-    def count(self, what: str, done: int, total: int) -> None:
-        """Cells done, and the time left."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
