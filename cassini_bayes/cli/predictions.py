@@ -89,34 +89,41 @@ def predict_command(
         typer.echo(f"\nanswered in {result.seconds:.2f} s", err=True)
 
 
-def plan_command(
-    fit: Fit,
-    *,
+@dataclass(frozen=True)
+class Wanted:
+    """Options of a plan: what is asked of the next bias, and where it starts."""
+
     quantity: Annotated[
         str | None, typer.Option("--quantity", help="E.g. thrust_level_z1_n, tau_fall_s, cm_x_m.")
-    ] = None,
+    ] = None
     minimise: Annotated[
         str | None,
         typer.Option("--minimise", help="z_throughput or hydrazine: the cheapest end rates."),
-    ] = None,
+    ] = None
     to: Annotated[
         str | None,
         typer.Option("--to", help='With --minimise: ends that are given, "rwa4: -729".'),
-    ] = None,
+    ] = None
     limit: Annotated[
         float | None, typer.Option("--limit", help="With --minimise: most on-time a thruster, s.")
-    ] = None,
+    ] = None
     start: Annotated[
         str | None,
         typer.Option("--from", help='Rates before the bias, "rwa1: -526, …" (default: last end).'),
-    ] = None,
+    ] = None
     levels: Annotated[
         int, typer.Option("--levels", min=1, max=12, help="End rates per wheel and sign.")
-    ] = 5,
+    ] = 5
     budget: Annotated[
         float | None, typer.Option("--budget", min=0.0, help="Most hydrazine, g.")
-    ] = None,
-    top: Annotated[int, typer.Option("--top", min=1, help="How many to show.")] = 10,
+    ] = None
+    top: Annotated[int, typer.Option("--top", min=1, help="How many to show.")] = 10
+
+
+def plan_command(
+    fit: Fit,
+    *,
+    wanted: Wanted,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for plan.csv, figure.")] = None,
     learning: Learning,
     output: Output,
@@ -124,18 +131,7 @@ def plan_command(
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
     from cassini_bayes.pipeline.predictions import PlanResult, plan
 
-    result = plan(
-        fit,
-        quantity,
-        minimise=minimise,
-        to=to,
-        limit=limit,
-        start=start,
-        levels=levels,
-        budget=budget,
-        top=top,
-        **learning.arguments,
-    )
+    result = plan(fit, **vars(wanted), **learning.arguments)
     warn(result.warnings)
     if out is not None and isinstance(result, PlanResult):
         result.save(out)

@@ -103,20 +103,15 @@ class CheckResult:
 
     def __repr__(self) -> str:
         table = self.seen.table.sort_values("ratio")
-        shown = table.head(_MOST_ROWS)
         columns = ["quantity", "unit", "prior_sd", "expected_sd", "ratio", "verdict"]
-        short = (
-            []
-            if len(table) == len(shown)
-            else [f"… and {len(table) - len(shown)} more (--json, or summary(), has all)"]
-        )
+        more = max(0, len(table) - _MOST_ROWS)
         parts = [
             "Events",
             self.rows.to_string(index=False, float_format="{:.4g}".format),
             "",
             "What these events can see (posterior over prior width, linearised)",
-            shown[columns].to_string(index=False, float_format="{:.3g}".format),
-            *short,
+            table.head(_MOST_ROWS)[columns].to_string(index=False, float_format="{:.3g}".format),
+            *([f"… and {more} more (--json, or summary(), has all)"] if more else []),
             "",
             *self.sentences,
             "",

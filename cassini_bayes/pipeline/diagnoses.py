@@ -109,20 +109,15 @@ class DiagnosisResult:
         """
         rows, unsized = [], {"mean": np.nan, "sd": np.nan, "hdi_90": (np.nan, np.nan)}
         for cause in self.record["causes"]:
-            shared = {
-                "name": cause["name"],
-                "probability": cause["probability"],
-                "log_bayes_factor_nats": cause["log_bayes_factor"],
-                "confounded_with": ", ".join(cause["confounded_with"]),
-            }
+            weights = (cause["name"], cause["probability"], cause["log_bayes_factor"])
+            confounded = ", ".join(cause["confounded_with"])
             units = self._units(cause["name"])
             for key, size in (cause["parameters"] or {"": unsized}).items():
-                own = {"parameter": key, "unit": units.get(key, ""), **size}
-                low, high = size["hdi_90"]
-                rows.append({**shared, **own, "low_90": low, "high_90": high})
+                values = (size["mean"], size["sd"], *size["hdi_90"])
+                rows.append((*weights, key, units.get(key, ""), *values, confounded))
         columns = ["name", "probability", "log_bayes_factor_nats", "parameter", "unit", "mean"]
-        table = pd.DataFrame(rows)[[*columns, "sd", "low_90", "high_90", "confounded_with"]]
-        return with_interval(table, INTERVAL)
+        columns += ["sd", "low_90", "high_90", "confounded_with"]
+        return with_interval(pd.DataFrame(rows, columns=columns), INTERVAL)
 
     def _units(self, name: str) -> Mapping[str, str]:
         """Units of a cause's sizes, as far as it has parameters of those names."""

@@ -55,6 +55,15 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 _SHOWN: Final = 12
+_DRAWN: Final = (
+    ("on_time_s", ("thruster",), "s"),
+    ("pulses", ("thruster",), "1"),
+    ("duration_s", (), "s"),
+    ("delta_v_computed_m_s", ("axis",), "m s-1"),
+    ("delta_v_delivered_m_s", ("axis",), "m s-1"),
+    ("hydrazine_g", (), "g"),
+)
+"""What a prediction has draws of, beyond which dimensions, in which unit."""
 
 
 def stream(seed: int, row: int) -> np.random.Generator:
@@ -103,25 +112,16 @@ class PredictionResult:
 
     def to_arviz(self) -> Any:  # ArviZ carries no types
         """Draws of every bias as the ``predictions`` group of ``arviz.InferenceData``."""
-
-        def stacked(name: str, dims: tuple[str, ...], unit: str) -> xr.DataArray:
-            values = np.stack(
-                [getattr(prediction, name) for prediction in self.predictions], axis=1
-            )
-            return xr.DataArray(values[None], dims=dims, attrs={"units": unit})
-
-        first = self.predictions[0]
-        each = ("chain", "draw", "bias")
+        first, each = self.predictions[0], ("chain", "draw", "bias")
         variables = {
-            "on_time_s": stacked("on_time_s", (*each, "thruster"), "s"),
-            "pulses": stacked("pulses", (*each, "thruster"), "1"),
-            "duration_s": stacked("duration_s", each, "s"),
+            name: xr.DataArray(
+                np.stack([getattr(own, name) for own in self.predictions], axis=1)[None],
+                dims=(*each, *dims),
+                attrs={"units": unit},
+            )
+            for name, dims, unit in _DRAWN
+            if getattr(first, name) is not None
         }
-        for name, unit in (("delta_v_computed_m_s", "m s-1"), ("delta_v_delivered_m_s", "m s-1")):
-            if getattr(first, name) is not None:
-                variables[name] = stacked(name, (*each, "axis"), unit)
-        if first.hydrazine_g is not None:
-            variables["hydrazine_g"] = stacked("hydrazine_g", each, "g")
         known: dict[str, list[str]] = {
             "bias": [prediction.request.id for prediction in self.predictions],
             "thruster": list(first.thrusters),

@@ -125,10 +125,15 @@ def execute_sweep(
     if report or page is not None:
         reporter.log("figures")
         figures = _figures(planned, store, tables)
+        names, seed = planned.baseline.names, planned.baseline.seed
         if report:
-            _write_report(planned, tables, figures, folder)
+            facts = f"{len(planned.cells)} cells, cassini_bayes {__version__}, seed {seed}"
+            _write_report(tables, names, figures, folder, facts)
         if page is not None:
-            _write_page(page, planned, tables, figures, folder, command)
+            from cassini_bayes.report.sweep_page import write_sweep_page
+
+            title = f"Prior sensitivity of the run {folder.name}"
+            write_sweep_page(page, title, tables, names, figures, command, seed)
     seconds = time.monotonic() - began
     reporter.log(f"done in {seconds:.0f} s: {target}")
     return SweepOutcome(target, tables, len(planned.cells), seconds, inputs.findings)
@@ -173,7 +178,11 @@ def _figures(sweep: Sweep, store: CheckpointStore, tables: SweepTables) -> dict[
 
 
 def _write_report(
-    sweep: Sweep, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
+    tables: SweepTables,
+    names: Sequence[str],
+    figures: Mapping[str, Figure],
+    folder: Path,
+    facts: str,
 ) -> None:
     from cassini_bayes.report.plots import save_figures
     from cassini_bayes.report.sweep import write_sweep_section
@@ -181,20 +190,4 @@ def _write_report(
     save_figures(figures, folder / FOLDER / "figures")
     page = folder / "report.html"
     if page.exists():
-        facts = f"{len(sweep.cells)} cells, cassini_bayes {__version__}, seed {sweep.baseline.seed}"
-        write_sweep_section(page, tables, sweep.baseline.names, figures, facts)
-
-
-def _write_page(
-    page: Path,
-    sweep: Sweep,
-    tables: SweepTables,
-    figures: Mapping[str, Figure],
-    folder: Path,
-    command: Sequence[str],
-) -> None:
-    from cassini_bayes.report.sweep_page import write_sweep_page
-
-    title = f"Prior sensitivity of the run {folder.name}"
-    names, seed = sweep.baseline.names, sweep.baseline.seed
-    write_sweep_page(page, title, tables, names, figures, command, seed)
+        write_sweep_section(page, tables, names, figures, facts)

@@ -53,6 +53,11 @@ def tabulate(
     return Table(tuple(columns), cells, heads, title)
 
 
+def flagged(text: str, is_amiss: bool) -> Cell:
+    """A cell that stands out where something is amiss."""
+    return Cell(text, "flag" if is_amiss else "")
+
+
 def _cell(content: object) -> Cell:
     return content if isinstance(content, Cell) else Cell(str(content))
 

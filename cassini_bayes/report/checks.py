@@ -17,6 +17,7 @@ from cassini_bayes.report.cells import (
     Table,
     as_percent,
     between,
+    flagged,
     formatted,
     in_units,
     mean_sd,
@@ -375,10 +376,8 @@ def predictive_table(review: Review) -> Table:
         return interval(row["hdi_90_low_s"], row["hdi_90_high_s"]) if predicted(row) else MISSING
 
     def tail(row: pd.Series) -> Cell:
-        if not predicted(row):
-            return Cell(MISSING)
-        probability = float(row["tail_probability"])
-        return Cell(or_missing(probability, ".3f"), "flag" if probability < UNLIKELY_TAIL else "")
+        probability = float(row["tail_probability"]) if predicted(row) else np.nan
+        return flagged(or_missing(probability, ".3f"), probability < UNLIKELY_TAIL)
 
     return tabulate(
         review.predictive,
@@ -396,11 +395,6 @@ def predictive_table(review: Review) -> Table:
 
 def balance_table(review: Review) -> Table:
     """Momentum left over per event and axis."""
-
-    def in_noise(row: pd.Series) -> Cell:
-        z = float(row["standardised"])
-        return Cell(signed(z), "flag" if abs(z) > 3 else "")
-
     return tabulate(
         review.balance,
         {
@@ -408,7 +402,9 @@ def balance_table(review: Review) -> Table:
             "axis": "axis",
             "momentum left over, mean ± sd [N m s]": mean_sd("residual_n_m_s", "sd_n_m_s"),
             "noise σ [N m s]": two_digits("noise_sd_n_m_s"),
-            "in noise σ": in_noise,
+            "in noise σ": lambda row: flagged(
+                signed(row["standardised"]), abs(row["standardised"]) > 3
+            ),
         },
         heads=2,
     )
@@ -418,7 +414,7 @@ def delta_v_table(review: Review) -> Table:
     """Printed ΔV and the fit of the on-board computation."""
     mean, sd = "computed_mean_mm_s", "computed_sd_mm_s"
     return tabulate(
-        review.delta_v.assign(left=review.delta_v["printed_mm_s"] - review.delta_v[mean]),
+        review.delta_v,
         {
             "event": "event",
             "printed [mm/s]": formatted("printed_mm_s", ".2f"),
@@ -465,16 +461,12 @@ def variant_table(review: Review) -> Table:
 
 def convergence_table(review: Review) -> Table:
     """Autocorrelation time, R-hat and effective sample size of walked parameters."""
-
-    def rhat(row: pd.Series) -> Cell:
-        return Cell(or_missing(row["rhat"], ".4f"), "flag" if row["rhat"] >= 1.01 else "")
-
     return tabulate(
         review.convergence,
         {
             "walked parameter": "name",
             "autocorrelation time τ [steps]": formatted("tau_steps", ".1f"),
-            "R-hat": rhat,
+            "R-hat": lambda row: flagged(or_missing(row["rhat"], ".4f"), row["rhat"] >= 1.01),
             "effective sample": formatted("ess", ".0f"),
         },
     )

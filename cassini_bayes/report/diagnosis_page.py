@@ -17,6 +17,7 @@ from cassini_bayes.report.diagnosis_verdict import (
     alike_nothing,
     gain_sentence,
     probability_words,
+    some_of,
     verdict_sentences,
 )
 from cassini_bayes.report.draft_file import draft_files
@@ -153,7 +154,9 @@ def _cause_table(causes: Sequence[Record], record: Record) -> Table:
         "log Bayes factor (nats)": _numeric(lambda c: _signed(c["log_bayes_factor"], ",.1f")),
         "what it says": lambda cause: cause.get("says") or MISSING,
         "acts from": _beginnings,
-        "cannot be told from": lambda cause: _names(cause["confounded_with"]),
+        "cannot be told from": lambda cause: (
+            some_of(cause["confounded_with"], MOST_NAMED) or MISSING
+        ),
         "probability at half / double prior width": _numeric(
             lambda cause: " / ".join(_share(widths[w], cause["name"]) for w in widths)
         ),
@@ -163,12 +166,6 @@ def _cause_table(causes: Sequence[Record], record: Record) -> Table:
 
 def _share(shares: Mapping[str, float], name: str) -> str:
     return f"{shares.get(name, 0.0):.3f}"
-
-
-def _names(names: Sequence[str]) -> str:
-    if len(names) <= MOST_NAMED:
-        return ", ".join(names) or MISSING
-    return f"{', '.join(names[:MOST_NAMED])} and {len(names) - MOST_NAMED} others"
 
 
 def _symptom_table(record: Record) -> Table | None:

@@ -9,7 +9,7 @@ from typing import Final
 import pandas as pd
 
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.report.cells import Cell, Table, signed, tabulate
+from cassini_bayes.report.cells import Table, flagged, signed, tabulate
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
@@ -97,9 +97,7 @@ def changes_table(sweep: pd.DataFrame) -> Table:
             "shift of the mean [posterior sd]": _shift,
             "ratio of sd": lambda row: f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}",
             "estimate": "estimate",
-            "Pareto k̂": lambda row: Cell(
-                signed(row["pareto_k"], "z.2f"), "flag" if row["pareto_k"] > 0.7 else ""
-            ),
+            "Pareto k̂": lambda row: flagged(signed(row["pareto_k"], "z.2f"), row["pareto_k"] > 0.7),
         },
     )
 
@@ -117,8 +115,8 @@ def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
         selected.loc[parts.idxmax()],
         {
             "prior block or likelihood": "component",
-            "largest sensitivity": lambda row: Cell(
-                f"{row['sensitivity']:.3f}", "flag" if row["sensitive"] else ""
+            "largest sensitivity": lambda row: flagged(
+                f"{row['sensitivity']:.3f}", row["sensitive"]
             ),
             "of": "quantity",
             "quantities above the threshold": lambda row: (

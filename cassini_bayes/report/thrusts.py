@@ -54,11 +54,9 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.report.plots.thrusts import thrust_figure
 from cassini_bayes.report.verdict import impulse_rows
+from cassini_bayes.results.baselines import MEAN, PER_EVENT, POOLED
 from cassini_bayes.results.review import Review
 
-PSEUDO_INVERSE: Final = "pseudo-inverse, per event"
-POOLED: Final = "pseudo-inverse, pooled"
-MEAN_OF_ALL: Final = "mean of all thrusters, per event"
 MOST_HELPED: Final = 3
 LEAST_WORTH: Final = 0.001
 
@@ -268,13 +266,10 @@ def thrust_matrix(review: Review) -> Table:
 
 def thrust_cards(review: Review) -> tuple[Card, ...]:
     """A card of every event, posterior beside baseline; last the level over all events."""
-    table, baseline = (
-        review.summary,
-        {
-            (row["method"], row["event"], row["thruster"]): row
-            for _, row in review.baseline.iterrows()
-        },
-    )
+    table = review.summary
+    baseline = {
+        (row["method"], row["event"], row["thruster"]): row for _, row in review.baseline.iterrows()
+    }
 
     def beside(method: str, event: str) -> Column:
         return lambda row: _baseline_cell(baseline.get((method, event, row["item"])))
@@ -309,8 +304,8 @@ def thrust_cards(review: Review) -> tuple[Card, ...]:
             "thrust, mean ± sd [N]": mean_sd(),
             **known,
             **delivered,
-            f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
-            f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
+            f"pseudo-inverse {bars}": beside(PER_EVENT, event),
+            f"mean of all thrusters {bars}": beside(MEAN, event),
         }
         shown = tabulate(rows, columns, title=event)
         cards.append(

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
@@ -203,11 +204,16 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
         factors = np.array([cause["log_bayes_factor"] for cause in shown])
         right.barh(places, factors, color=colours)
         right.axvline(0.0, lw=0.8, color=VERDICT_COLOURS["conflict"])
-        if np.nanmax(np.abs(factors)) > LINEAR_NATS:
-            right.set_xscale("symlog", linthresh=LINEAR_NATS)
-            label_powers(right.xaxis)
-        right.set_xlabel("log Bayes factor against none (nats)")
+        evidence_axis(right, far=bool(np.nanmax(np.abs(factors)) > LINEAR_NATS))
     return figure
+
+
+def evidence_axis(axes: Axes, *, far: bool) -> None:
+    """Log Bayes factors along x, logarithmic beyond ten nats where some are that ``far``."""
+    if far:
+        axes.set_xscale("symlog", linthresh=LINEAR_NATS)
+        label_powers(axes.xaxis)
+    axes.set_xlabel("log Bayes factor against none (nats)")
 
 
 def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
@@ -218,13 +224,9 @@ def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
         axes = figure.subplots()
         places = np.arange(len(shown))
         for i, width in enumerate(shown.columns):
-            axes.barh(
-                places + 0.25 * (1 - i),
-                shown[width],
-                height=0.24,
-                color=colours[i % len(colours)],
-                label=f"width × {width:g}",
-            )
+            colour, label = colours[i % len(colours)], f"width × {width:g}"
+            at = places + 0.25 * (1 - i)
+            axes.barh(at, shown[width], height=0.24, color=colour, label=label)
         for place in places[shown.to_numpy().max(axis=1) < UNSEEN]:
             axes.text(0.005, place, f"below {UNSEEN:g}", va="center", fontsize=7, color="#777777")
         axes.set_yticks(places, [str(name) for name in shown.index])

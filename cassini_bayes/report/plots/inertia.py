@@ -22,7 +22,7 @@ from cassini_bayes.report.plots.style import (
     symbol,
     symbols,
 )
-from cassini_bayes.report.plots.tables import flat_draws
+from cassini_bayes.report.plots.tables import both_draws
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
@@ -64,8 +64,7 @@ def inertia_figure(review: Review) -> Figure | None:
 
 def _element(axes: Axes, review: Review, element: str, labels: list[str]) -> None:
     name = WITH_WHEELS.format(element)
-    posterior = flat_draws(review.fit.posterior, name)
-    prior = flat_draws(review.fit.prior, name)
+    posterior, prior = both_draws(review, name)
     low, high = hdi(posterior)
     before = np.quantile(prior, [0.05, 0.95])
     axes.axvspan(before[0], before[1], color="#ececec", zorder=0)

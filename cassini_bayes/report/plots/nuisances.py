@@ -87,50 +87,44 @@ def _walked_row(review: Review, row: pd.Series) -> ForestRow:
     name, unit = str(row["name"]), str(row["unit"])
     scale = parameter_scale(review, name)
     column = nuisance_column(review, name)
-    centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
-    if column is None:
-        prior_low, prior_high = -NORMAL_90, NORMAL_90
-    else:
-        bounds = np.quantile(column.prior / scale.factor, [0.05, 0.95])
-        prior_low, prior_high = ((float(b) - centre) / spread for b in bounds)
+    ends = (-NORMAL_90, NORMAL_90)
+    if column is not None:
+        centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
+        low, high = np.quantile(column.prior / scale.factor, [0.05, 0.95])
+        ends = (float(low) - centre) / spread, (float(high) - centre) / spread
     verdict = str(row["verdict"])
     surprise = f"  ({row['surprise']:+.1f} σ)".replace("-", "−") if verdict == "conflict" else ""
-    text = (
-        f"{_shown(row['mean'], row['sd'], scale.factor)} {scale.unit.strip('–')}"
-        f"   prior {_shown(centre, spread, scale.factor)}"
-    )
-    return ForestRow(
-        label=f"{short_name(name, unit)}{surprise}",
-        group=str(row["block"]),
-        mean=(float(row["mean"]) - centre) / spread,
-        low=(float(row["hdi_90_low"]) - centre) / spread,
-        high=(float(row["hdi_90_high"]) - centre) / spread,
-        prior_low=prior_low,
-        prior_high=prior_high,
-        verdict=verdict,
-        text=text,
-    )
+    label = f"{short_name(name, unit)}{surprise}"
+    unit_shown = Scale(scale.factor, scale.unit.strip("–"))
+    return _in_prior_units(row, label, str(row["block"]), ends, verdict, unit_shown)
 
 
 def _torque_row(row: pd.Series, shown_events: dict[str, str], scale: Scale) -> ForestRow:
-    centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
-    narrowed = float(row["sd"]) < 0.95 * spread
-    return ForestRow(
-        label=shown_events.get(str(row["event"]), str(row["event"])),
-        group=f"axis {row['item']}",
-        mean=(float(row["mean"]) - centre) / spread,
-        low=(float(row["hdi_90_low"]) - centre) / spread,
-        high=(float(row["hdi_90_high"]) - centre) / spread,
-        prior_low=-NORMAL_90,
-        prior_high=NORMAL_90,
-        verdict="informed" if narrowed else "prior returned",
-        text=f"{_shown(row['mean'], row['sd'], scale.factor)} {scale.unit}"
-        f"   prior {_shown(centre, spread, scale.factor)}",
+    label = shown_events.get(str(row["event"]), str(row["event"]))
+    narrowed = float(row["sd"]) < 0.95 * float(row["prior_sd"])
+    verdict = "informed" if narrowed else "prior returned"
+    return _in_prior_units(
+        row, label, f"axis {row['item']}", (-NORMAL_90, NORMAL_90), verdict, scale
     )
 
 
-def _shown(mean: float, sd: float, factor: float) -> str:
-    return plus_minus(float(mean) * factor, float(sd) * factor)
+def _in_prior_units(
+    row: pd.Series,
+    label: str,
+    group: str,
+    prior_ends: tuple[float, float],
+    verdict: str,
+    scale: Scale,
+) -> ForestRow:
+    """A row of posterior and prior as departures from the prior's mean in its deviations."""
+    values = row[["mean", "hdi_90_low", "hdi_90_high"]].astype(float)
+    mean, low, high = ((values - float(row["prior_mean"])) / float(row["prior_sd"])).tolist()
+    after, before = (
+        plus_minus(float(row[centre]) * scale.factor, float(row[spread]) * scale.factor)
+        for centre, spread in (("mean", "sd"), ("prior_mean", "prior_sd"))
+    )
+    text = f"{after} {scale.unit}   prior {before}"
+    return ForestRow(label, group, mean, low, high, *prior_ends, verdict, text)
 
 
 def forest_figure(rows: Sequence[ForestRow], title: str) -> Figure:

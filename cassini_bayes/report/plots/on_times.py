@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.powers import label_powers
+from cassini_bayes.report.plots.criticism import evidence_axis
 from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
@@ -20,7 +20,6 @@ from cassini_bayes.report.plots.style import (
 
 MOST_CAUSES = 7  # bars that fit one column
 GREY = "#777777"
-LINEAR_NATS = 10.0  # up to which the axis of log Bayes factors is linear
 
 
 def on_time_figure(
@@ -38,9 +37,7 @@ def on_time_figure(
         colours = [GREY if name in ("none", "unknown") else POSTERIOR for name in names]
         left.barh(range(len(names)), [log_bayes_factor[name] for name in names], color=colours)
         left.set_yticks(range(len(names)), names)
-        left.set_xscale("symlog", linthresh=LINEAR_NATS)
-        label_powers(left.xaxis)
-        left.set_xlabel("log Bayes factor against none (nats)")
+        evidence_axis(left, far=True)
         top = float(points[["flight_s", "none_s", "first_s"]].to_numpy().max()) * 1.05
         right.plot([0.0, top], [0.0, top], color=INK, lw=0.7, label="as flown")
         for prefix, name, colour, marker in (

@@ -77,14 +77,9 @@ def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
         time_s[at], channel.measured[at], ".", label="measured", zorder=depth, **MEASURED_DOTS
     )
     if channel.extended is not None and channel.cause is not None:
-        panel.fill_between(
-            time_s[at],
-            (channel.extended - channel.cause)[at],
-            channel.extended[at],
-            color=CAUSE,
-            lw=0,
-            label="the cause's part",
-        )
+        without, extended = (channel.extended - channel.cause)[at], channel.extended[at]
+        look: dict[str, Any] = {"color": CAUSE, "lw": 0, "label": "the cause's part"}
+        panel.fill_between(time_s[at], without, extended, **look)
     panel.plot(time_s[at], channel.baseline[at], label="baseline", **BASELINE_LINE)
     if channel.extended is not None:
         panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)

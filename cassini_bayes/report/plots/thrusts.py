@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
@@ -30,6 +30,7 @@ from cassini_bayes.report.plots.tables import (
     thrust_grid,
     thrusters_of,
 )
+from cassini_bayes.results.baselines import MEAN, PER_EVENT, POOLED
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
@@ -56,10 +57,8 @@ class BaselineStyle:
 
 # The two methods of the papers; a pooled estimate stands in the column of all events.
 BASELINES: Final = (
-    BaselineStyle(
-        "pseudo-inverse, per event", "pseudo-inverse, pooled", "pseudo-inverse", "D", 0.05
-    ),
-    BaselineStyle("mean of all thrusters, per event", None, "mean of all thrusters", "s", 0.34),
+    BaselineStyle(PER_EVENT, POOLED, "pseudo-inverse", "D", 0.05),
+    BaselineStyle(MEAN, None, "mean of all thrusters", "s", 0.34),
 )
 
 
@@ -187,18 +186,11 @@ def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, v
     room = 0.035 * (limits[1] - limits[0])
     y = limits[1] - room if above else limits[0] + room
     _estimate(axes, x, y, "^" if above else "v", 3.6, valid=valid)
-    axes.annotate(
-        f"{value:.2f}".replace("-", "−"),
-        (x, y),
-        xytext=(0, -4 if above else 4),
-        textcoords="offset points",
-        ha="center",
-        va="top" if above else "bottom",
-        rotation=90,
-        fontsize=5.8,
-        color=BASELINE,
-        zorder=3.5,
-    )
+    shift, side = (-4, "top") if above else (4, "bottom")
+    beside: dict[str, Any] = {"xytext": (0, shift), "textcoords": "offset points", "va": side}
+    look: dict[str, Any] = {"fontsize": 5.8, "color": BASELINE, "zorder": 3.5}
+    text = f"{value:.2f}".replace("-", "−")
+    axes.annotate(text, (x, y), ha="center", rotation=90, **beside, **look)
 
 
 def _thrust_legend(review: Review, printed: Array) -> list[Handle]:
