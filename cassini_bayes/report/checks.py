@@ -27,17 +27,7 @@ from cassini_bayes.report.cells import (
     tabulate,
     two_digits,
 )
-from cassini_bayes.report.page import (
-    BUDGET,
-    CHECKS,
-    CONVERGENCE,
-    DELTA_V,
-    NUISANCES,
-    Drawing,
-    Paragraph,
-    Section,
-    TableBlock,
-)
+from cassini_bayes.report.page import Chapter, Drawing, Paragraph, Section, TableBlock
 from cassini_bayes.report.plots.budget import budget_figure
 from cassini_bayes.report.plots.checks import balance_figure, convergence_figure, predictive_figure
 from cassini_bayes.report.plots.corners import nuisance_corner
@@ -95,7 +85,7 @@ def nuisances(review: Review) -> Iterator[Section]:
         for i, (names, title) in enumerate(nuisance_pages(review), start=1)
     )
     yield Section(
-        NUISANCES,
+        Chapter.NUISANCES,
         (
             Paragraph(Markup("{}{}").format(verdict, rule)),
             Drawing(
@@ -129,7 +119,7 @@ def torques(review: Review) -> Iterator[Section]:
         partial(torque_figure, review),
         fold="External torque of every event",
     )
-    yield Section(NUISANCES, (drawing,))
+    yield Section(Chapter.NUISANCES, (drawing,))
 
 
 def budget(review: Review) -> Iterator[Section]:
@@ -137,7 +127,7 @@ def budget(review: Review) -> Iterator[Section]:
     if review.budget.empty:
         return
     yield Section(
-        BUDGET,
+        Chapter.BUDGET,
         (
             Paragraph(
                 Markup(
@@ -174,7 +164,7 @@ def predictive(review: Review) -> Iterator[Section]:
         return
     inside, predicted = coverage(review)
     yield Section(
-        CHECKS,
+        Chapter.CHECKS,
         (
             Paragraph(
                 "Each posterior draw flies the same bias again: new rates in the dead-band, and "
@@ -203,7 +193,7 @@ def balance(review: Review) -> Iterator[Section]:
     """Momentum left over per event and axis."""
     last = "; of telemetry events what is left at the last usable row"
     yield Section(
-        CHECKS,
+        Chapter.CHECKS,
         (
             Drawing(
                 "balance",
@@ -238,7 +228,7 @@ def delta_v(review: Review) -> Iterator[Section]:
     )
     if review.delta_v.empty:
         none = Paragraph("No event of this run declares a computed ΔV.")
-        yield Section(DELTA_V, (text, none))
+        yield Section(Chapter.DELTA_V, (text, none))
         return
     drawing = Drawing(
         "delta_v",
@@ -250,7 +240,7 @@ def delta_v(review: Review) -> Iterator[Section]:
         fold="Printed ΔV against the on-board computation, drawn",
     )
     blocks = (text, drawing, TableBlock(delta_v_table(review), fold="ΔV of every event"))
-    yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)
+    yield Section(Chapter.DELTA_V, blocks, name="delta_v", frame=review.delta_v)
 
 
 def variants(review: Review) -> Iterator[Section]:
@@ -266,7 +256,7 @@ def variants(review: Review) -> Iterator[Section]:
         fold="Every thrust under the three uses of ΔV, drawn",
     )
     yield Section(
-        DELTA_V,
+        Chapter.DELTA_V,
         (TableBlock(variant_table(review), style="dense"), drawing),
         title="Thrust under the three uses of ΔV",
         name="variants",
@@ -279,7 +269,7 @@ def convergence(review: Review) -> Iterator[Section]:
     rule = review.facts.get(STOP_RULE, "")
     stated = Paragraph(Markup("<strong>Stop rule:</strong> {}.").format(rule))
     yield Section(
-        CONVERGENCE,
+        Chapter.CONVERGENCE,
         (
             *((stated,) if rule else ()),
             Drawing(

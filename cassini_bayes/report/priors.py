@@ -10,7 +10,7 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import THRUST_COMMON
-from cassini_bayes.report.page import PRIORS, Paragraph, Section, Slider, SliderPrior, SliderRow
+from cassini_bayes.report.page import Chapter, Paragraph, Section, Slider, SliderPrior, SliderRow
 from cassini_bayes.report.plots.quantities import display_scale, plus_minus
 from cassini_bayes.report.plots.tables import (
     Column,
@@ -47,7 +47,7 @@ def prior_slider(review: Review) -> Iterator[Section]:
     if not effects:
         return
     yield Section(
-        PRIORS,
+        Chapter.PRIORS,
         (
             Paragraph(
                 "Choose a prior and make it narrower or wider: the intervals are those of the fit "

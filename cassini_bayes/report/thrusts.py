@@ -21,17 +21,7 @@ from cassini_bayes.report.cells import (
     percent,
     tabulate,
 )
-from cassini_bayes.report.page import (
-    JOINT,
-    NUMBERS,
-    THRUSTS,
-    Card,
-    Cards,
-    Drawing,
-    Paragraph,
-    Section,
-    TableBlock,
-)
+from cassini_bayes.report.page import Card, Cards, Chapter, Drawing, Paragraph, Section, TableBlock
 from cassini_bayes.report.plots.corners import joint_corner, thrust_corner
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
@@ -83,7 +73,7 @@ def thrusts(review: Review) -> Iterator[Section]:
         "printed thrust"
     )
     drawing = Drawing("thrusts", alt, caption, partial(thrust_figure, review))
-    yield Section(THRUSTS, (drawing,), name="baseline", frame=review.baseline)
+    yield Section(Chapter.THRUSTS, (drawing,), name="baseline", frame=review.baseline)
 
 
 def thrust_numbers(review: Review) -> Iterator[Section]:
@@ -98,7 +88,7 @@ def thrust_numbers(review: Review) -> Iterator[Section]:
     if review.baseline.empty:
         bars = " No estimates by the replaced methods are part of this run."
     yield Section(
-        NUMBERS,
+        Chapter.NUMBERS,
         (
             Paragraph(
                 "Each card: thrust of every thruster, and its impulse per second of commanded "
@@ -154,7 +144,7 @@ def joint(review: Review) -> Iterator[Section]:
                 fold="Corner plot of all thrust levels",
             )
         )
-    yield Section(JOINT, (Paragraph(text), *drawings))
+    yield Section(Chapter.JOINT, (Paragraph(text), *drawings))
 
 
 def _common(review: Review) -> pd.Series:
