@@ -31,12 +31,7 @@ from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
 from cassini_bayes.results.mission.groups import mission_fit_record
-from cassini_bayes.results.mission.record import (
-    earlier_draws,
-    save_state,
-    save_trend,
-    trend_draws,
-)
+from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend, trend_draws
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
 from cassini_bayes.results.record import save_fit
 

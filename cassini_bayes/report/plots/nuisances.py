@@ -29,11 +29,7 @@ from cassini_bayes.report.plots.style import (
     patch,
     symbols,
 )
-from cassini_bayes.report.plots.tables import (
-    all_events_of,
-    nuisance_column,
-    parameter_scale,
-)
+from cassini_bayes.report.plots.tables import all_events_of, nuisance_column, parameter_scale
 from cassini_bayes.results.review import Review
 
 if TYPE_CHECKING:
