@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import gc
 import sys
-from typing import Annotated
+from collections.abc import Callable, Mapping
+from typing import Annotated, Final
 
 import typer
 
@@ -22,6 +23,7 @@ from cassini_bayes.cli import (
     sweeps,
     trends,
 )
+from cassini_bayes.cli.options import spread
 from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.errors import CassiniBayesError
 
@@ -36,21 +38,25 @@ app = typer.Typer(
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
 
-app.command("init")(starts.init_command)
-app.command("check")(checks.check_command)
-app.command("run")(fits.run_command)
-app.command("fit")(fits.fit_command)
-app.command("report")(reports.report_command)
-app.command("diagnose")(diagnoses.diagnose_command)
-app.command("simulate")(simulations.simulate_command)
-app.command("sweep")(sweeps.sweep_command)
-app.command("trend")(trends.trend_command)
-app.command("predict")(predictions.predict_command)
-app.command("plan")(predictions.plan_command)
-app.command("causes")(listings.causes_command)
-app.command("parameters")(listings.parameters_command)
-app.command("quantities")(listings.quantities_command)
-app.command("diagnose-published")(calibrations.diagnose_published_command)
+COMMANDS: Final[Mapping[str, Callable[..., None]]] = {
+    "init": starts.init_command,
+    "check": checks.check_command,
+    "run": fits.run_command,
+    "fit": fits.fit_command,
+    "report": reports.report_command,
+    "diagnose": diagnoses.diagnose_command,
+    "simulate": simulations.simulate_command,
+    "sweep": sweeps.sweep_command,
+    "trend": trends.trend_command,
+    "predict": predictions.predict_command,
+    "plan": predictions.plan_command,
+    "causes": listings.causes_command,
+    "parameters": listings.parameters_command,
+    "quantities": listings.quantities_command,
+    "diagnose-published": calibrations.diagnose_published_command,
+}
+for name, command in COMMANDS.items():
+    app.command(name)(spread(command))
 app.add_typer(calibrations.app, name="calibrate")
 
 

@@ -7,9 +7,9 @@ All are started in the same way: ``--trials`` or ``--quick``, ``--jobs`` or ``--
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib import import_module
 from inspect import Signature, signature
 from pathlib import Path
@@ -17,7 +17,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Dask, Jobs, PriorsFile, Quiet, Seed
+from cassini_bayes.cli.options import (
+    ConsoleReporter,
+    Dask,
+    Jobs,
+    PriorsFile,
+    Quiet,
+    Seed,
+    command_line,
+    spread,
+)
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,48 +61,55 @@ HYBRID_SCENARIO = Path("runs/scenarios/hybrid_2012.toml")
 HYBRID_PRIORS = Path("priors/cassini_hybrid_2012.toml")
 
 
+@dataclass(frozen=True)
+class Repetitions:
+    """Options that studies with repetitions have in common."""
+
+    trials: Trials = None
+    quick: Quick = False
+    seed: Seed = 0
+    jobs: Jobs = None
+    dask: Dask = None
+    work: Work = WORK
+    out: Out = OUT
+
+    def numbers(self, full: Mapping[str, int], short: Mapping[str, int]) -> Mapping[str, int]:
+        """Repetitions of every part of a study."""
+        if self.trials is None:
+            return short if self.quick else full
+        if self.quick:
+            both = ("either --trials or --quick", "both")
+            raise InputError("--quick", *both, "leave one of them out")
+        most = max(full.values())
+        return {part: max(1, round(n * self.trials / most)) for part, n in full.items()}
+
+
 @contextmanager
-def _study(
-    page: Path, seed: int, work: Path, quiet: bool, jobs: int | None = 1, dask: str | None = None
-) -> Iterator[Study]:
-    """A study that is about to run, its workers started; ``work`` keeps its repetitions."""
+def _study(page: str, options: Repetitions, quiet: bool) -> Iterator[Study]:
+    """A study that is about to run, its workers started; ``page`` is also what it keeps."""
     from cassini_bayes.computing.workers import workers_at
     from cassini_bayes.studies.study import Study
 
-    reporter = ConsoleReporter(quiet)
-    command = ("cassini-bayes", *sys.argv[1:])
-    with workers_at(jobs, dask, reporter.log) as workers:
-        yield Study(seed, work, page, workers, command, reporter.count)
+    reporter, work = ConsoleReporter(quiet), options.work / page
+    with workers_at(options.jobs, options.dask, reporter.log) as workers:
+        path = options.out / f"{page}.md"
+        yield Study(options.seed, work, path, workers, command_line(), reporter.count)
 
 
-def _numbers(
-    full: Mapping[str, int], short: Mapping[str, int], trials: int | None, quick: bool
-) -> Mapping[str, int]:
-    """Repetitions of every part of a study."""
-    if trials is None:
-        return short if quick else full
-    if quick:
-        raise InputError("--quick", "either --trials or --quick", "both", "leave one of them out")
-    most = max(full.values())
-    return {part: max(1, round(number * trials / most)) for part, number in full.items()}
+@contextmanager
+def _at_once(page: str, out: Path, quiet: bool, seed: int = 0) -> Iterator[Study]:
+    """A study without repetitions; then says where its page is."""
+    with _study(page, Repetitions(seed=seed, jobs=1, out=out), quiet) as study:
+        yield study
+    typer.echo(str(study.page))
 
 
-def _end(page: Path, passed: bool = True) -> None:
-    typer.echo(str(page))
-    raise typer.Exit(0 if passed else 1)
+@dataclass(frozen=True)
+class Run:
+    """A run of a study: the study, and the repetitions of its parts."""
 
-
-def _shared(
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
-    """Options that studies with repetitions have in common."""
+    study: Study
+    numbers: Mapping[str, int]
 
 
 Campaign = Callable[..., bool | None]
@@ -102,73 +118,56 @@ Campaign = Callable[..., bool | None]
 def _campaign(name: str, page: str, seed: int, module: str) -> Callable[[Campaign], Campaign]:
     """A study with repetitions as a command: its own options, then those of all.
 
-    The function gets the study and the repetitions of its parts, which ``FULL`` and ``QUICK`` of
+    The function gets the study with the repetitions of its parts, which ``FULL`` and ``QUICK`` of
     ``module`` (below ``studies``) say, and its own options; it returns whether the study passed, or
     nothing where there is nothing to pass. Seed: that of the page as it is published.
     """
 
-    def register(run: Campaign) -> Campaign:
-        def command(**options: Any) -> None:
-            given = {key: options.pop(key) for key in own}
+    def register(campaign: Campaign) -> Campaign:
+        def command(options: Repetitions, quiet: bool, **given: Any) -> None:
             parts = import_module(f"cassini_bayes.studies.{module}")
-            numbers = _numbers(parts.FULL, parts.QUICK, options["trials"], options["quick"])
-            path, kept = options["out"] / f"{page}.md", options["work"] / page
-            started = (options[key] for key in ("quiet", "jobs", "dask"))
-            with _study(path, options["seed"], kept, *started) as study:
-                passed = run(study, numbers, **given)
-            _end(path, passed is not False)
+            numbers = options.numbers(parts.FULL, parts.QUICK)
+            with _study(page, options, quiet) as study:
+                passed = campaign(Run(study, numbers), **given)
+            typer.echo(str(study.page))
+            raise typer.Exit(1 if passed is False else 0)
 
-        written = signature(run, locals={"Study": object}, eval_str=True).parameters
-        own = {key: it for key, it in written.items() if key not in ("study", "numbers")}
-        shared = dict(signature(_shared, eval_str=True).parameters)
-        shared["seed"] = shared["seed"].replace(default=seed)
-        both = {**own, **shared}
-        vars(command)["__signature__"] = Signature(list(both.values()))
-        command.__annotations__ = {key: it.annotation for key, it in both.items()}
-        command.__doc__ = run.__doc__
-        app.command(name)(command)
-        return run
+        _, *own = signature(campaign, eval_str=True).parameters.values()
+        shared = signature(_shared, eval_str=True).parameters.values()
+        vars(command)["__signature__"] = Signature([*own, *shared])
+        command.__doc__ = campaign.__doc__
+        app.command(name)(spread(command, seed=seed))
+        return campaign
 
     return register
 
 
+def _shared(*, options: Repetitions, quiet: Quiet = False) -> None:
+    """Options of every campaign, behind its own."""
+
+
 @_campaign("totals", "totals-sbc", 20_261_121, "totals_campaign")
-def totals(
-    study: Study,
-    numbers: Mapping[str, int],
-    events: Totals = FLIGHT,
-    priors: PriorsFile = TOTALS_PRIORS,
-) -> bool:
+def totals(run: Run, events: Totals = FLIGHT, priors: PriorsFile = TOTALS_PRIORS) -> bool:
     """Simulation-based calibration of the totals model, with two negative controls."""
     from cassini_bayes.studies.totals_campaign import calibrate_totals
 
-    return calibrate_totals(study, events, priors, numbers)
+    return calibrate_totals(run.study, events, priors, run.numbers)
 
 
 @_campaign("sbc", "telemetry-sbc", 20_261_122, "telemetry_campaign")
-def sbc(
-    study: Study,
-    numbers: Mapping[str, int],
-    scenario: ScenarioFile = SCENARIO,
-    priors: PriorsFile = TELEMETRY_PRIORS,
-) -> bool:
+def sbc(run: Run, scenario: ScenarioFile = SCENARIO, priors: PriorsFile = TELEMETRY_PRIORS) -> bool:
     """Simulation-based calibration of the joint model on closed-loop telemetry."""
     from cassini_bayes.studies.telemetry_campaign import calibrate_telemetry
 
-    return calibrate_telemetry(study, scenario, priors, numbers)
+    return calibrate_telemetry(run.study, scenario, priors, run.numbers)
 
 
 @_campaign("conditions", "conditions", 20_261_123, "conditions_calibration")
-def conditions(
-    study: Study,
-    numbers: Mapping[str, int],
-    scenario: ScenarioFile = SCENARIO,
-    priors: PriorsFolder = PRIORS,
-) -> bool:
+def conditions(run: Run, scenario: ScenarioFile = SCENARIO, priors: PriorsFolder = PRIORS) -> bool:
     """Calibration over conditions: controllers, steps of counters, cadence, noise, events."""
     from cassini_bayes.studies.conditions_calibration import calibrate_conditions
 
-    return calibrate_conditions(study, scenario, priors, numbers)
+    return calibrate_conditions(run.study, scenario, priors, run.numbers)
 
 
 @app.command("attitude")
@@ -176,27 +175,20 @@ def calibrate_attitude_command(out: Out = OUT, quiet: Quiet = False) -> None:
     """Noise, steps and gyro errors of real attitude records: the source of the noise priors."""
     from cassini_bayes.studies.real_attitude import study_real_attitude
 
-    page = out / "real-attitude.md"
-    with _study(page, 0, WORK, quiet) as study:
+    with _at_once("real-attitude", out, quiet) as study:
         study_real_attitude(study)
-    _end(page)
 
 
 @_campaign("perturbations", "perturbation-coverage", 20_120_813, "perturbation_campaign")
-def perturbations(
-    study: Study,
-    numbers: Mapping[str, int],
-    events: Totals = FLIGHT,
-    priors: PriorsFile = TOTALS_PRIORS,
-) -> bool:
+def perturbations(run: Run, events: Totals = FLIGHT, priors: PriorsFile = TOTALS_PRIORS) -> bool:
     """Coverage and length of perturbation bars, least squares, Laplace and posterior."""
     from cassini_bayes.studies.perturbation_campaign import compare_error_bars
 
-    return compare_error_bars(study, events, priors, numbers)
+    return compare_error_bars(run.study, events, priors, run.numbers)
 
 
-@app.command("blind")
 def calibrate_blind_command(
+    *,
     scenario: ScenarioFile = SCENARIO,
     priors: Annotated[
         Path | None,
@@ -225,13 +217,7 @@ def calibrate_blind_command(
             show_default="all",
         ),
     ] = None,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_261_121,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
+    options: Repetitions,
     results_only: Annotated[
         bool, typer.Option("--results-only", help="Write results of the trials that are there.")
     ] = False,
@@ -258,23 +244,26 @@ def calibrate_blind_command(
         if not folder.is_dir():
             found = ("with --conditions a folder of priors files", str(folder))
             raise InputError("--priors", *found, f"give {PRIORS}, or a copy of it")
-        campaign = Blind(scenario, folder, seed, (), OVER_CONDITIONS, over_conditions=True)
+        campaign = Blind(scenario, folder, options.seed, (), OVER_CONDITIONS, over_conditions=True)
     else:
         name, full, short = "blind", blind.FULL, blind.QUICK
         ids = tuple((events or BLIND_EVENTS).split(","))
-        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, seed, ids)
-    numbers = _numbers(full, short, trials, quick)
-    with _study(out / name / "index.md", seed, work / name, quiet, jobs, dask) as study:
+        campaign = Blind(scenario, priors or TELEMETRY_PRIORS, options.seed, ids)
+    numbers = options.numbers(full, short)
+    with _study(name, options, quiet) as started:
+        study = replace(started, page=options.out / name / "index.md")
         if not results_only:
             named = () if parts is None else tuple(parts.split(","))
             blind.run_campaign(study, campaign, numbers["trials"], named)
         typer.echo(json.dumps(blind.write_results(study, campaign.strata)))
 
 
+app.command("blind")(spread(calibrate_blind_command, seed=20_261_121))
+
+
 @_campaign("two-wheels", "two-wheels", 20_120_223, "blind.two_wheels")
 def two_wheels(
-    study: Study,
-    numbers: Mapping[str, int],
+    run: Run,
     scenario: ScenarioFile = HYBRID_SCENARIO,
     priors: PriorsFile = HYBRID_PRIORS,
     events: EventIds = "mosaic",
@@ -282,33 +271,23 @@ def two_wheels(
     """Hide a platform's angle or a leak in events of two wheels, and count what is named."""
     from cassini_bayes.studies.blind.two_wheels import run_two_wheels
 
-    run_two_wheels(study, scenario, priors, events.split(","), numbers["trials"])
+    run_two_wheels(run.study, scenario, priors, events.split(","), run.numbers["trials"])
 
 
 @_campaign("mistakes", "mistakes", 20_261_122, "mistakes")
-def mistakes(
-    study: Study,
-    numbers: Mapping[str, int],
-    scenario: ScenarioFile = SCENARIO,
-    priors: PriorsFolder = PRIORS,
-) -> bool:
+def mistakes(run: Run, scenario: ScenarioFile = SCENARIO, priors: PriorsFolder = PRIORS) -> bool:
     """Hide mistakes in telemetry and totals; count what is named, and what honest data get."""
     from cassini_bayes.studies.mistakes import run_mistakes
 
-    return run_mistakes(study, scenario, priors, numbers)
+    return run_mistakes(run.study, scenario, priors, run.numbers)
 
 
 @_campaign("missions", "missions", 19_971_015, "missions")
-def missions(
-    study: Study,
-    numbers: Mapping[str, int],
-    events: Totals = FLIGHT,
-    priors: PriorsFile = MISSION_PRIORS,
-) -> bool:
+def missions(run: Run, events: Totals = FLIGHT, priors: PriorsFile = MISSION_PRIORS) -> bool:
     """Simulated missions with known failures: names, onsets, false alarms, delays."""
     from cassini_bayes.studies.missions import study_missions
 
-    return study_missions(study, events, priors, numbers)
+    return study_missions(run.study, events, priors, run.numbers)
 
 
 @app.command("prediction")
@@ -322,10 +301,8 @@ def calibrate_prediction_command(
     """Leave one flight event out at a time, predict it, and compare with the published columns."""
     from cassini_bayes.studies.prediction import prediction_results
 
-    page = out / "prediction.md"
-    with _study(page, seed, WORK, quiet) as study:
+    with _at_once("prediction", out, quiet, seed) as study:
         prediction_results(study, str(events), str(priors))
-    _end(page)
 
 
 @app.command("simulation")
@@ -339,49 +316,39 @@ def calibrate_simulation_command(
     """Hold the simulation against printed figures: momentum, impulse, biases, hydrazine."""
     from cassini_bayes.studies.simulation import FULL, QUICK, simulation_results
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / "simulation.md"
-    with _study(page, seed, WORK, quiet) as study:
+    numbers = Repetitions(trials, quick).numbers(FULL, QUICK)
+    with _at_once("simulation", out, quiet, seed) as study:
         simulation_results(study, numbers)
-    _end(page)
 
 
-@app.command("leaks")
 def calibrate_leaks_command(
+    *,
     scenario: ScenarioFile = SCENARIO,
     priors: PriorsFile = TELEMETRY_PRIORS,
     calibrated: Annotated[
         bool, typer.Option("--calibrated", help="Thrusters known to a tenth of their priors.")
     ] = False,
-    trials: Trials = None,
-    quick: Quick = False,
-    seed: Seed = 20_050_128,
-    jobs: Jobs = None,
-    dask: Dask = None,
-    work: Work = WORK,
-    out: Out = OUT,
+    options: Repetitions,
     quiet: Quiet = False,
 ) -> None:
     """Hide leaks in simulated biases: two monitors at equal false-alarm rates."""
     from cassini_bayes.studies.leak_campaign import FULL, QUICK, compare_leak_monitors
 
-    numbers = _numbers(FULL, QUICK, trials, quick)
-    page = out / ("leaks-calibrated.md" if calibrated else "leaks.md")
-    with _study(page, seed, work / page.stem, quiet, jobs, dask) as study:
+    numbers = options.numbers(FULL, QUICK)
+    with _study("leaks-calibrated" if calibrated else "leaks", options, quiet) as study:
         compare_leak_monitors(study, scenario, priors, numbers, calibrated=calibrated)
-    _end(page)
+    typer.echo(str(study.page))
+
+
+app.command("leaks")(spread(calibrate_leaks_command, seed=20_050_128))
 
 
 @_campaign("hybrid", "hybrid", 0, "hybrid")
-def hybrid(
-    study: Study,
-    numbers: Mapping[str, int],
-    scenario: ScenarioFile = HYBRID_SCENARIO,
-) -> None:
+def hybrid(run: Run, scenario: ScenarioFile = HYBRID_SCENARIO) -> None:
     """Fly the controllers of two wheels, and compare with the published closed-loop figures."""
     from cassini_bayes.studies.hybrid import fly_hybrid
 
-    fly_hybrid(study, scenario, numbers)
+    fly_hybrid(run.study, scenario, run.numbers)
 
 
 def diagnose_published_command(
@@ -395,5 +362,5 @@ def diagnose_published_command(
     from cassini_bayes.studies.published_diagnosis import NAME, write_published_diagnosis
 
     log = ConsoleReporter(quiet).log
-    with _study(out / f"{NAME}.md", seed, WORK, quiet) as study:
+    with _study(NAME, Repetitions(seed=seed, jobs=1, out=out), quiet) as study:
         typer.echo(json.dumps(write_published_diagnosis(study, totals, priors, log)))

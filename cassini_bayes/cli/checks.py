@@ -8,16 +8,13 @@ from typing import Annotated
 import typer
 
 from cassini_bayes.cli.options import (
-    Accept,
     ConsoleReporter,
     Effects,
     FittedEffects,
-    Json,
-    LeaveOut,
+    Output,
+    Plausibility,
     PriorsFile,
-    Quiet,
     Source,
-    Strict,
 )
 
 
@@ -29,34 +26,24 @@ def check_command(
         ),
     ],
     priors: PriorsFile,
+    *,
     source: Source = "flight",
     effect: FittedEffects = None,
     effects: Effects = None,
-    accept: Accept = None,
-    leave_out: LeaveOut = False,
-    strict: Strict = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    plausibility: Plausibility,
+    output: Output,
 ) -> None:
     """Before sampling: plausibility, rows used, what these events can see, conflicts, time."""
     from cassini_bayes.pipeline.checks import check
 
-    reporter = ConsoleReporter(quiet)
     result = check(
         events,
         priors,
         effects=effect or (),
         effect_files=effects or (),
         source=source,
-        accept=accept or [],
-        leave_out=leave_out,
-        log=reporter.log,
+        **plausibility.policy,
+        log=ConsoleReporter(output.quiet).log,
     )
-    if as_json:
-        typer.echo(json.dumps(result.as_record()))
-    elif not quiet:
-        typer.echo(repr(result))
-    if quiet or as_json:
-        for sentence in result.warnings:
-            typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(1 if strict and result.warnings else 0)
+    output.show(lambda: json.dumps(result.as_record()), lambda: repr(result))
+    plausibility.end(result.warnings, said=not (output.quiet or output.as_json))

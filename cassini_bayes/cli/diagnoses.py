@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -10,18 +9,15 @@ from typing import Annotated
 import typer
 
 from cassini_bayes.cli.options import (
-    Accept,
     ConsoleReporter,
     Effects,
-    Force,
-    Json,
-    LeaveOut,
+    Output,
+    Plausibility,
     PriorsFile,
-    Quiet,
-    Resume,
+    Restart,
     SeedOverride,
     Source,
-    Strict,
+    command_line,
 )
 from cassini_bayes.errors import InputError
 
@@ -35,6 +31,7 @@ def diagnose_command(
     ],
     priors: PriorsFile,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    *,
     effects: Effects = None,
     source: Source = "flight",
     gain: Annotated[bool, typer.Option("--gain/--no-gain", help="Hold events out.")] = True,
@@ -42,19 +39,15 @@ def diagnose_command(
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
     ] = False,
     seed: SeedOverride = None,
-    accept: Accept = None,
-    leave_out: LeaveOut = False,
-    strict: Strict = False,
-    force: Force = False,
-    resume: Resume = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    plausibility: Plausibility,
+    restart: Restart,
+    output: Output,
 ) -> None:
     """Show what the simulation gets wrong, name the cause, measure the gain."""
     from cassini_bayes.pipeline.diagnoses import diagnose
     from cassini_bayes.report.diagnosis import diagnosis_json
 
-    reporter = ConsoleReporter(quiet)
+    reporter = ConsoleReporter(output.quiet)
     if then_fit:
         refuse_estimates(events)
     result = diagnose(
@@ -63,26 +56,21 @@ def diagnose_command(
         effect_files=effects or (),
         source=source,
         gain=gain,
-        accept=accept or [],
-        leave_out=leave_out,
+        **plausibility.policy,
         seed=DEFAULT_SEED if seed is None else seed,
         folder=out,
-        force=force,
-        resume=resume,
+        **vars(restart),
         log=reporter.log,
         progress=reporter.count,
-        command=["cassini-bayes", *sys.argv[1:]],
+        command=command_line(),
     )
     if then_fit:
         result.fit(log=reporter.log)
-    if as_json:
-        typer.echo(diagnosis_json(result.record).rstrip())
-    elif not quiet:
-        typer.echo("\n".join([*result.sentences, str(out / "report.html")]))
-    findings = result.record["findings"]
-    for sentence in findings:
-        typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(1 if strict and findings else 0)
+    output.show(
+        lambda: diagnosis_json(result.record).rstrip(),
+        lambda: "\n".join([*result.sentences, str(out / "report.html")]),
+    )
+    plausibility.end(result.record["findings"])
 
 
 def refuse_estimates(events: Sequence[str]) -> None:

@@ -3,49 +3,40 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cassini_bayes.cli.options import (
-    Accept,
     ConsoleReporter,
     Effects,
     FittedEffects,
-    Force,
-    Json,
-    LeaveOut,
     NoReport,
-    Quiet,
-    Resume,
+    Output,
+    Plausibility,
+    Restart,
     SeedOverride,
     Source,
-    Strict,
+    command_line,
 )
 from cassini_bayes.cli.trends import fit_of_mission
 from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from cassini_bayes.pipeline.run import Outcome
     from cassini_bayes.pipeline.run_file import RunFile
 
 
 def run_command(
     run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
+    *,
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
     effects: Effects = None,
     seed: SeedOverride = None,
-    force: Force = False,
-    resume: Resume = False,
-    accept: Accept = None,
-    leave_out: LeaveOut = False,
-    strict: Strict = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    restart: Restart,
+    plausibility: Plausibility,
+    output: Output,
 ) -> None:
     """Run the whole pipeline of one run file: posterior, tables, figures, report."""
     from cassini_bayes.pipeline.run_file import read_run_file
@@ -53,12 +44,10 @@ def run_command(
     run = read_run_file(run_file)
     if seed is not None:
         run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
-    run = run.accepting(accept or [], leave_out=leave_out)
+    run = run.accepting(plausibility.accept or [], leave_out=plausibility.leave_out)
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
-    outcome = _execute(
-        run, run_file.parent, folder, run_file.stem, effects or (), force, resume, quiet
-    )
-    _finish(outcome, as_json, quiet, strict)
+    outcome = _execute(run, run_file.parent, folder, run_file.stem, effects, restart, output)
+    _finish(outcome, plausibility, output)
 
 
 def fit_command(
@@ -70,6 +59,7 @@ def fit_command(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
+    *,
     priors: Annotated[Path | None, typer.Option("--priors", help="Priors file.")] = None,
     mission: Annotated[
         Path | None,
@@ -83,48 +73,41 @@ def fit_command(
     effect: FittedEffects = None,
     effects: Effects = None,
     seed: SeedOverride = None,
-    force: Force = False,
-    resume: Resume = False,
-    accept: Accept = None,
-    leave_out: LeaveOut = False,
-    strict: Strict = False,
+    restart: Restart,
+    plausibility: Plausibility,
     no_report: NoReport = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    output: Output,
 ) -> None:
     """Posterior of events: fit.nc, tables, figures and report."""
     from cassini_bayes.pipeline.run_file import check_run
 
     if mission is not None:
-        if effect or effects or accept or leave_out or strict:
+        if effect or effects or any(vars(plausibility).values()):
             raise InputError(
                 "--mission",
                 "no option about effects, plausibility or strictness beside it",
                 "one of --effect, --effects, --accept, --leave-out, --strict",
                 "fit events of one branch with it, or leave it out",
             )
-        fit_of_mission(mission, events, priors, source, out, seed, as_json, quiet)
+        fit_of_mission(mission, events, priors, source, out, seed, output)
     if priors is None:
         raise InputError(
             "--priors", "a priors file, or a mission file that names one", "neither",
             "add --priors FILE, or --mission MISSION.toml",
         )  # fmt: skip
-    sampler: dict[str, Any] = {} if seed is None else {"seed": seed}
     run = check_run(
         {
             "events": list(events),
             "priors": str(priors),
             "source": source,
-            "accept": accept or [],
-            "leave_out": leave_out,
+            **plausibility.policy,
             "model": {"effects": effect or []},
-            "sampler": sampler,
+            "sampler": {} if seed is None else {"seed": seed},
             "output": {"report": not no_report},
         },
         "command line",
     )
-    outcome = _execute(run, Path(), out, out.name, effects or (), force, resume, quiet)
-    _finish(outcome, as_json, quiet, strict)
+    _finish(_execute(run, Path(), out, out.name, effects, restart, output), plausibility, output)
 
 
 def _execute(
@@ -132,10 +115,9 @@ def _execute(
     base: Path,
     folder: Path,
     name: str,
-    effects: Sequence[Path],
-    force: bool,
-    resume: bool,
-    quiet: bool,
+    effects: Effects,
+    restart: Restart,
+    output: Output,
 ) -> Outcome:
     from cassini_bayes.effects.registry import read_kinds
     from cassini_bayes.pipeline.run import execute
@@ -145,45 +127,45 @@ def _execute(
         base,
         folder,
         name=name,
-        command=["cassini-bayes", *sys.argv[1:]],
-        reporter=ConsoleReporter(quiet),
-        force=force,
-        resume=resume,
-        kinds=read_kinds(effects),
+        command=command_line(),
+        reporter=ConsoleReporter(output.quiet),
+        **vars(restart),
+        kinds=read_kinds(effects or ()),
     )
 
 
-def _finish(outcome: Outcome, as_json: bool, quiet: bool, strict: bool) -> None:
+def _finish(outcome: Outcome, plausibility: Plausibility, output: Output) -> NoReturn:
     """Say what came of a run: the result on standard output, what is amiss on standard error.
 
     What contradicts stands last, so that nothing scrolls it away, and even with ``--quiet``.
     """
-    warnings = outcome.review.warnings
-    if as_json:
-        columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
-        result = {
-            "converged": outcome.converged,
-            "folder": str(outcome.folder),
-            "seconds": round(outcome.seconds, 1),
-            "interval": "90 % highest density",
-            "summary": outcome.review.summary[columns].to_dict(orient="records"),
-            "verdict": list(outcome.verdict),
-            "warnings": list(warnings),
-        }
-        typer.echo(json.dumps(result))
-    elif not quiet:
-        for sentence in outcome.verdict:
-            typer.echo(sentence)
-        report, figures = outcome.folder / "report.html", outcome.folder / "figures"
-        if report.exists():
-            typer.echo(str(figures))
-        typer.echo(str(report if report.exists() else outcome.folder / "summary.csv"))
+    output.show(lambda: json.dumps(as_record(outcome)), lambda: "\n".join(_lines(outcome)))
     if not outcome.converged:
         typer.echo(
             f"not converged: {outcome.folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
             "raise max_steps under [sampler] in a run file and run it with --force",
             err=True,
         )
-    for sentence in warnings:
-        typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(0 if outcome.converged and not (strict and warnings) else 1)
+    plausibility.end(outcome.review.warnings, converged=outcome.converged)
+
+
+def as_record(outcome: Outcome) -> dict[str, object]:
+    """The outcome as plain JSON types."""
+    columns = ["name", "unit", "mean", "sd", "hdi_90_low", "hdi_90_high"]
+    return {
+        "converged": outcome.converged,
+        "folder": str(outcome.folder),
+        "seconds": round(outcome.seconds, 1),
+        "interval": "90 % highest density",
+        "summary": outcome.review.summary[columns].to_dict(orient="records"),
+        "verdict": list(outcome.verdict),
+        "warnings": list(outcome.review.warnings),
+    }
+
+
+def _lines(outcome: Outcome) -> list[str]:
+    """The verdict, and where to look next."""
+    report = outcome.folder / "report.html"
+    if not report.exists():
+        return [*outcome.verdict, str(outcome.folder / "summary.csv")]
+    return [*outcome.verdict, str(outcome.folder / "figures"), str(report)]

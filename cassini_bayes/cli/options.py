@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, is_dataclass
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NoReturn
 
 import typer
 from rich.console import Console
@@ -59,6 +63,89 @@ Effects = Annotated[
     list[Path] | None,
     typer.Option("--effects", help="Effects of your own (.py) or tables of effects (.toml)."),
 ]
+
+
+@dataclass(frozen=True)
+class Plausibility:
+    """Options of a command that reads data: what is accepted of them, what counts as failure."""
+
+    accept: Accept = None
+    leave_out: LeaveOut = False
+    strict: Strict = False
+
+    @property
+    def policy(self) -> dict[str, Any]:
+        """As the verbs of the package take it."""
+        return {"accept": self.accept or [], "leave_out": self.leave_out}
+
+    def end(
+        self, warnings: Sequence[str], *, converged: bool = True, said: bool = False
+    ) -> NoReturn:
+        """Say warnings, which stand last, unless the result ``said`` them; end with the status."""
+        warn(() if said else warnings)
+        raise typer.Exit(0 if converged and not (self.strict and warnings) else 1)
+
+
+@dataclass(frozen=True)
+class Output:
+    """Options of a command that shows a result."""
+
+    as_json: Json = False
+    quiet: Quiet = False
+
+    def show(self, record: Callable[[], str], text: Callable[[], str]) -> None:
+        """The result on standard output: its record, as text, or not at all."""
+        if self.as_json:
+            typer.echo(record())
+        elif not self.quiet:
+            typer.echo(text())
+
+
+@dataclass(frozen=True)
+class Restart:
+    """Options of a command that keeps what it has finished."""
+
+    force: Force = False
+    resume: Resume = False
+
+
+def spread(command: Callable[..., object], **defaults: object) -> Callable[..., object]:
+    """A command whose groups of options, dataclasses among its parameters, are options of it.
+
+    ``defaults`` are those of this command where they are not those of the group.
+    """
+    written = signature(command, eval_str=True).parameters
+    groups = {
+        key: signature(it.annotation, eval_str=True).parameters
+        for key, it in written.items()
+        if isinstance(it.annotation, type) and is_dataclass(it.annotation)
+    }
+    options = {
+        name: own.replace(default=defaults.get(name, own.default), kind=Parameter.KEYWORD_ONLY)
+        for key, it in written.items()
+        for name, own in groups.get(key, {key: it}).items()
+    }
+
+    def spread_command(**given: Any) -> object:
+        for key, members in groups.items():
+            given[key] = written[key].annotation(**{name: given.pop(name) for name in members})
+        return command(**given)
+
+    vars(spread_command)["__signature__"] = Signature(list(options.values()))
+    spread_command.__annotations__ = {name: own.annotation for name, own in options.items()}
+    spread_command.__doc__ = command.__doc__
+    return spread_command
+
+
+def command_line() -> list[str]:
+    """What was typed, for the record."""
+    return ["cassini-bayes", *sys.argv[1:]]
+
+
+def warn(sentences: Sequence[str]) -> None:
+    """Sentences about what is doubtful, on standard error."""
+    for sentence in sentences:
+        typer.echo(f"warning: {sentence}", err=True)
 
 
 PLAIN_S: Final = 2.0  # between lines of progress where there is no terminal to overwrite them in

@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import Accept, Effects, Json, Quiet, Seed
+from cassini_bayes.cli.options import Accept, Effects, Output, Seed, warn
 
 if TYPE_CHECKING:
     from cassini_bayes.pipeline.predictions import PredictionResult
     from cassini_bayes.prediction.predict import Prediction
 
 Fit = Annotated[Path, typer.Option("--fit", help="Folder of a run, or its fit.nc.")]
-Events = Annotated[
-    str | None, typer.Option("--events", help="Events of the fit, if they have moved.")
-]
-PriorsFile = Annotated[
-    Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
-]
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Options of what is learned from a fit, and the seed of what is drawn with it."""
+
+    events: Annotated[
+        str | None, typer.Option("--events", help="Events of the fit, if they have moved.")
+    ] = None
+    priors: Annotated[
+        Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
+    ] = None
+    effects: Effects = None
+    accept: Accept = None
+    seed: Seed = 1
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """As the verbs of the package take it."""
+        named = {"accept": self.accept or [], "effect_files": self.effects or ()}
+        return {"events": self.events, "priors": self.priors, "seed": self.seed, **named}
 
 
 def predict_command(
@@ -33,6 +48,7 @@ def predict_command(
             help='"rwa1: -1118 -> 626, rwa2: 1290 -> 1300, …" in rev/min, or a CSV of biases.',
         ),
     ],
+    *,
     epoch: Annotated[
         str | None, typer.Option("--epoch", help="ISO 8601, UTC (default: the last event).")
     ] = None,
@@ -48,13 +64,8 @@ def predict_command(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder for prediction.json, .csv and figures.")
     ] = None,
-    events: Events = None,
-    priors: PriorsFile = None,
-    effects: Effects = None,
-    accept: Accept = None,
-    seed: Seed = 1,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    learning: Learning,
+    output: Output,
 ) -> None:
     """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration."""
     from cassini_bayes.pipeline.predictions import predict
@@ -65,91 +76,66 @@ def predict_command(
         epoch=epoch,
         branch=branch,
         quaternion=quaternion,
-        events=events,
-        priors=priors,
-        effect_files=effects or (),
-        accept=accept or [],
-        seed=seed,
+        **learning.arguments,
     )
-    _warn(result.warnings)
+    warn(result.warnings)
     flown = [_closed_loop(result, weights, simulations) if simulate else {} for weights in result]
     document = result.as_record(flown)
     if out is not None:
         result.save(out, document)
-    if as_json:
-        typer.echo(json.dumps(document))
-    elif not quiet:
-        typer.echo("\n\n".join(_text(p, r) for p, r in zip(result, flown, strict=True)))
+    texts = (_text(p, r) for p, r in zip(result, flown, strict=True))
+    output.show(lambda: json.dumps(document), lambda: "\n\n".join(texts))
+    if not (output.as_json or output.quiet):
         typer.echo(f"\nanswered in {result.seconds:.2f} s", err=True)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Options of a plan: what is asked of the next bias, and where it starts."""
+
+    quantity: Annotated[
+        str | None, typer.Option("--quantity", help="E.g. thrust_level_z1_n, tau_fall_s, cm_x_m.")
+    ] = None
+    minimise: Annotated[
+        str | None,
+        typer.Option("--minimise", help="z_throughput or hydrazine: the cheapest end rates."),
+    ] = None
+    to: Annotated[
+        str | None,
+        typer.Option("--to", help='With --minimise: ends that are given, "rwa4: -729".'),
+    ] = None
+    limit: Annotated[
+        float | None, typer.Option("--limit", help="With --minimise: most on-time a thruster, s.")
+    ] = None
+    start: Annotated[
+        str | None,
+        typer.Option("--from", help='Rates before the bias, "rwa1: -526, …" (default: last end).'),
+    ] = None
+    levels: Annotated[
+        int, typer.Option("--levels", min=1, max=12, help="End rates per wheel and sign.")
+    ] = 5
+    budget: Annotated[
+        float | None, typer.Option("--budget", min=0.0, help="Most hydrazine, g.")
+    ] = None
+    top: Annotated[int, typer.Option("--top", min=1, help="How many to show.")] = 10
 
 
 def plan_command(
     fit: Fit,
-    quantity: Annotated[
-        str | None, typer.Option("--quantity", help="E.g. thrust_level_z1_n, tau_fall_s, cm_x_m.")
-    ] = None,
-    minimise: Annotated[
-        str | None,
-        typer.Option("--minimise", help="z_throughput or hydrazine: the cheapest end rates."),
-    ] = None,
-    to: Annotated[
-        str | None,
-        typer.Option("--to", help='With --minimise: ends that are given, "rwa4: -729".'),
-    ] = None,
-    limit: Annotated[
-        float | None, typer.Option("--limit", help="With --minimise: most on-time a thruster, s.")
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--from", help='Rates before the bias, "rwa1: -526, …" (default: last end).'),
-    ] = None,
-    levels: Annotated[
-        int, typer.Option("--levels", min=1, max=12, help="End rates per wheel and sign.")
-    ] = 5,
-    budget: Annotated[
-        float | None, typer.Option("--budget", min=0.0, help="Most hydrazine, g.")
-    ] = None,
-    top: Annotated[int, typer.Option("--top", min=1, help="How many to show.")] = 10,
+    *,
+    wanted: Wanted,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for plan.csv, figure.")] = None,
-    events: Events = None,
-    priors: PriorsFile = None,
-    effects: Effects = None,
-    accept: Accept = None,
-    seed: Seed = 1,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    learning: Learning,
+    output: Output,
 ) -> None:
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
     from cassini_bayes.pipeline.predictions import PlanResult, plan
 
-    result = plan(
-        fit,
-        quantity,
-        minimise=minimise,
-        to=to,
-        limit=limit,
-        start=start,
-        levels=levels,
-        budget=budget,
-        top=top,
-        events=events,
-        priors=priors,
-        effect_files=effects or (),
-        accept=accept or [],
-        seed=seed,
-    )
-    _warn(result.warnings)
+    result = plan(fit, **vars(wanted), **learning.arguments)
+    warn(result.warnings)
     if out is not None and isinstance(result, PlanResult):
         result.save(out)
-    if as_json:
-        typer.echo(json.dumps(result.as_record()))
-    elif not quiet:
-        typer.echo(repr(result))
-
-
-def _warn(warnings: Sequence[str]) -> None:
-    for sentence in warnings:
-        typer.echo(f"warning: {sentence}", err=True)
+    output.show(lambda: json.dumps(result.as_record()), lambda: repr(result))
 
 
 def _closed_loop(found: PredictionResult, own: Prediction, simulations: int) -> dict[str, Any]:

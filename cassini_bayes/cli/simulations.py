@@ -8,18 +8,18 @@ from typing import Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Json, Quiet, Seed
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Force, Output, Seed
 
 
 def simulate_command(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.toml", help="The scenario file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
     seed: Seed,
+    *,
     plot: Annotated[bool, typer.Option("--plot", help="Draw every event.")] = False,
     effects: Effects = None,
     force: Force = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    output: Output,
 ) -> None:
     """Simulate a scenario: event folders, totals.csv and truth.json."""
     # numba takes a moment to import
@@ -31,11 +31,13 @@ def simulate_command(
         seed=seed,
         effect_files=effects or (),
         force=force,
-        log=ConsoleReporter(quiet).log,
+        log=ConsoleReporter(output.quiet).log,
     )
     if plot:
         from cassini_bayes.report.plots import save_figures
 
         save_figures(simulation.plot_motion(), out / "figures")
     folders = [str(out / event.plan.event.id) for event in simulation.events]
-    typer.echo(json.dumps({"seed": seed, "events": folders}) if as_json else "\n".join(folders))
+    typer.echo(
+        json.dumps({"seed": seed, "events": folders}) if output.as_json else "\n".join(folders)
+    )

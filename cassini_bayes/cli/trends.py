@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from cassini_bayes.cli.options import (
-    Accept,
     ConsoleReporter,
-    Json,
-    LeaveOut,
-    Quiet,
+    Output,
+    Plausibility,
     SeedOverride,
-    Strict,
+    command_line,
 )
 
 if TYPE_CHECKING:
@@ -27,16 +24,14 @@ if TYPE_CHECKING:
 
 def trend_command(
     mission_file: Annotated[Path, typer.Argument(metavar="MISSION.toml", help="Mission file.")],
+    *,
     out: Annotated[Path | None, typer.Option("--out", help="Folder to write.")] = None,
     no_report: Annotated[
         bool, typer.Option("--no-report", help="Tables only: no figures, no page.")
     ] = False,
     seed: SeedOverride = None,
-    accept: Accept = None,
-    leave_out: LeaveOut = False,
-    strict: Strict = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    plausibility: Plausibility,
+    output: Output,
 ) -> None:
     """Thrust of every thruster over a mission; goes on with the same command, with events added."""
     from cassini_bayes.pipeline.by_file import trend
@@ -45,13 +40,12 @@ def trend_command(
         mission_file,
         out,
         seed=seed,
-        accept=accept or [],
-        leave_out=leave_out,
+        **plausibility.policy,
         report=not no_report,
-        reporter=ConsoleReporter(quiet),
-        command=["cassini-bayes", *sys.argv[1:]],
+        reporter=ConsoleReporter(output.quiet),
+        command=command_line(),
     )
-    _finish(outcome, "trend.csv" if no_report else "report.html", as_json, quiet, strict)
+    _finish(outcome, "trend.csv" if no_report else "report.html", plausibility, output)
 
 
 def fit_of_mission(
@@ -61,9 +55,8 @@ def fit_of_mission(
     source: str,
     out: Path,
     seed: int | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    output: Output,
+) -> NoReturn:
     """``fit --mission``: the given events, of either branch, with the facts of a mission file."""
     from cassini_bayes.model.mission.mission_file import read_mission_file
     from cassini_bayes.pipeline.trend_run import execute_trend
@@ -83,19 +76,19 @@ def fit_of_mission(
         mission_file.parent,
         out,
         name=out.name,
-        command=["cassini-bayes", *sys.argv[1:]],
-        reporter=ConsoleReporter(quiet),
+        command=command_line(),
+        reporter=ConsoleReporter(output.quiet),
         report=False,
         fit_record=True,
     )
-    _finish(outcome, "fit.nc", as_json, quiet, strict=False)
+    _finish(outcome, "fit.nc", Plausibility(), output)
 
 
-def _finish(outcome: TrendOutcome, file: str, as_json: bool, quiet: bool, strict: bool) -> NoReturn:
-    if as_json:
-        typer.echo(json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False))
-    elif not quiet:
-        typer.echo(str(outcome.folder / file))
-    for sentence in outcome.warnings:
-        typer.echo(f"warning: {sentence}", err=True)
-    raise typer.Exit(0 if outcome.converged and not (strict and outcome.warnings) else 1)
+def _finish(
+    outcome: TrendOutcome, file: str, plausibility: Plausibility, output: Output
+) -> NoReturn:
+    output.show(
+        lambda: json.dumps({"folder": str(outcome.folder), **outcome.record}, allow_nan=False),
+        lambda: str(outcome.folder / file),
+    )
+    plausibility.end(outcome.warnings, converged=outcome.converged)

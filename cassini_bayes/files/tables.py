@@ -1,9 +1,10 @@
-"""CSV text of tables: what a name holds is text, also to the spreadsheet that opens the file."""
+"""CSV text and plain rows of tables; in CSV, what a name holds is text, also to a spreadsheet."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 
@@ -43,3 +44,9 @@ def rows_csv(rows: Iterable[Iterable[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([inert(cell) for cell in row] for row in rows)
     return text.getvalue()
+
+
+def frame_records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a data frame as plain JSON types; what is not finite becomes null."""
+    records: list[dict[str, Any]] = json.loads(frame.to_json(orient="records", double_precision=10))
+    return records

@@ -8,10 +8,8 @@ from typing import Any
 
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.model.mission.mission_file import read_mission_file
-from cassini_bayes.pipeline.fits import Quiet
-from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.pipeline.run import Quiet, Reporter
 from cassini_bayes.pipeline.run_file import read_run_file
-from cassini_bayes.pipeline.sweep_run import Reporter as Counter
 from cassini_bayes.pipeline.sweep_run import SweepOutcome, execute_sweep
 from cassini_bayes.pipeline.trend_run import TrendOutcome, execute_trend
 from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
@@ -30,7 +28,7 @@ def sweep(
     dask: str | None = None,
     report: bool = True,
     page: PathLike | None = None,
-    reporter: Counter | None = None,
+    reporter: Reporter | None = None,
     command: Sequence[str] = ("cassini_bayes.sweep",),
 ) -> SweepOutcome:
     """How much a finished run leans on its priors: widths and centres of every block changed.

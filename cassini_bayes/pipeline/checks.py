@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,14 +13,13 @@ import pandas as pd
 
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent
-from cassini_bayes.model.gather import EventLike, PathLike, gather
+from cassini_bayes.model.gather import EventLike, PathLike
 from cassini_bayes.model.observability import Observability, observability
 from cassini_bayes.model.posterior import Event, Model, log_posterior
 from cassini_bayes.model.totals import DeltaVUse
-from cassini_bayes.pipeline.models import PriorsLike, model_of, priors_of
+from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.fitting import collapsed_size
 from cassini_bayes.results.sensitivity import conflicts
@@ -105,20 +103,15 @@ class CheckResult:
 
     def __repr__(self) -> str:
         table = self.seen.table.sort_values("ratio")
-        shown = table.head(_MOST_ROWS)
         columns = ["quantity", "unit", "prior_sd", "expected_sd", "ratio", "verdict"]
-        short = (
-            []
-            if len(table) == len(shown)
-            else [f"… and {len(table) - len(shown)} more (--json, or summary(), has all)"]
-        )
+        more = max(0, len(table) - _MOST_ROWS)
         parts = [
             "Events",
             self.rows.to_string(index=False, float_format="{:.4g}".format),
             "",
             "What these events can see (posterior over prior width, linearised)",
-            shown[columns].to_string(index=False, float_format="{:.3g}".format),
-            *short,
+            table.head(_MOST_ROWS)[columns].to_string(index=False, float_format="{:.3g}".format),
+            *([f"… and {more} more (--json, or summary(), has all)"] if more else []),
             "",
             *self.sentences,
             "",
@@ -163,22 +156,16 @@ def check(
     InputError
         What a fit would refuse is refused here.
     """
-    if isinstance(events, Model):
-        model, findings, given = events, tuple[str, ...](), events.sources
-    else:
-        known = priors_of(priors)
-        policy = Policy.of(accept, leave_out=leave_out)
-        given, findings = gather(
-            events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
-        )
-        kinds = read_kinds([Path(path) for path in effect_files])
-        model = model_of(given, known, pulse_shape, delta_v, effects, kinds)
+    policy = Policy.of(accept, leave_out=leave_out)
+    reading = (effects, effect_files, pulse_shape, delta_v, source, policy, log)
+    read = read_model(events, priors, *reading)
+    model = read.model
     seen = observability(model)
     mode = find_mode(partial(log_posterior, model), np.zeros(model.space.dimension))
     return CheckResult(
         model=model,
-        rows=pd.DataFrame([_row(event) for event in given]),
-        findings=findings,
+        rows=pd.DataFrame([_row(event) for event in read.events]),
+        findings=read.findings,
         seen=seen,
         disagree=_disagreement(model, seen, mode),
         seconds=_seconds(model, mode),

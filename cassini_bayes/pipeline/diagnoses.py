@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
-import tomli_w
 import xarray as xr
 
 from cassini_bayes.computing.log import Log, silent
@@ -29,31 +28,25 @@ from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import digest, write_text
+from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
 from cassini_bayes.pipeline.inputs import paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
-from cassini_bayes.pipeline.provenance import (
-    library_versions,
-    read_provenance,
-    recorded,
-    refuse_other_run,
-)
-from cassini_bayes.pipeline.run import prepare_folder
+from cassini_bayes.pipeline.provenance import library_versions, read_provenance, recorded
+from cassini_bayes.pipeline.run import CHECKPOINT, PROVENANCE, open_folder
 from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, RESOLVED
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
 if TYPE_CHECKING:
-    from cassini_bayes.report.page import Drawing
+    from cassini_bayes.diagnosis.case import Discrepancies
+    from cassini_bayes.diagnosis.discrepancy import Curve
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "shortest 90 %"
 DEFAULT_SEED: Final = 1
-CHECKPOINT: Final = "checkpoint"
-PROVENANCE: Final = "provenance.json"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,
@@ -114,29 +107,17 @@ class DiagnosisResult:
         ``name``, ``probability``, ``log_bayes_factor_nats``, ``parameter``, ``unit``, ``mean``,
         ``sd``, ``low_90``, ``high_90``, ``confounded_with``.
         """
-        rows = []
+        rows, unsized = [], {"mean": np.nan, "sd": np.nan, "hdi_90": (np.nan, np.nan)}
         for cause in self.record["causes"]:
-            shared = {
-                "name": cause["name"],
-                "probability": cause["probability"],
-                "log_bayes_factor_nats": cause["log_bayes_factor"],
-                "confounded_with": ", ".join(cause["confounded_with"]),
-            }
+            weights = (cause["name"], cause["probability"], cause["log_bayes_factor"])
+            confounded = ", ".join(cause["confounded_with"])
             units = self._units(cause["name"])
-            for key, size in cause["parameters"].items() or [("", None)]:
-                low, high = (np.nan, np.nan) if size is None else size["hdi_90"]
-                own = {
-                    "parameter": key,
-                    "unit": units.get(key, ""),
-                    "mean": np.nan if size is None else size["mean"],
-                    "sd": np.nan if size is None else size["sd"],
-                    "low_90": low,
-                    "high_90": high,
-                }
-                rows.append({**shared, **own})
+            for key, size in (cause["parameters"] or {"": unsized}).items():
+                values = (size["mean"], size["sd"], *size["hdi_90"])
+                rows.append((*weights, key, units.get(key, ""), *values, confounded))
         columns = ["name", "probability", "log_bayes_factor_nats", "parameter", "unit", "mean"]
-        table = pd.DataFrame(rows)[[*columns, "sd", "low_90", "high_90", "confounded_with"]]
-        return with_interval(table, INTERVAL)
+        columns += ["sd", "low_90", "high_90", "confounded_with"]
+        return with_interval(pd.DataFrame(rows, columns=columns), INTERVAL)
 
     def _units(self, name: str) -> Mapping[str, str]:
         """Units of a cause's sizes, as far as it has parameters of those names."""
@@ -153,15 +134,11 @@ class DiagnosisResult:
 
     def plot_discrepancy(self) -> Figure | None:
         """Torque that the baseline lacks, integrated, about body axes; None without telemetry."""
-        from cassini_bayes.report.diagnosis_pictures import pictures_of
-
-        return _drawn(pictures_of(self.diagnosis.curves), "discrepancy")
+        return _drawn(self.diagnosis.curves, "discrepancy")
 
     def plot_innovations(self) -> Figure | None:
         """Measured less predicted momentum, before and after; None without telemetry."""
-        from cassini_bayes.report.diagnosis_pictures import pictures_of
-
-        return _drawn(pictures_of(self.diagnosis.shown), "innovations")
+        return _drawn(self.diagnosis.shown, "innovations")
 
     def to_arviz(self, draws: int = 1_000) -> Any:  # ArviZ carries no types
         """Sizes of the extended model's causes as the posterior of ``arviz.InferenceData``.
@@ -229,11 +206,12 @@ class DiagnosisResult:
         return html_of(title, self.sentences, self.summary().head(_MOST_SHOWN))
 
 
-def _drawn(pictures: Sequence[Drawing], name: str) -> Figure | None:
+def _drawn(shown: Discrepancies | Sequence[Curve], name: str) -> Figure | None:
     """The picture of that name as a figure in the house style; None where nothing is shown."""
+    from cassini_bayes.report.diagnosis_pictures import pictures_of
     from cassini_bayes.report.plots import draw
 
-    return draw({p.name: p.draw for p in pictures if p.name == name}).get(name)
+    return draw({p.name: p.draw for p in pictures_of(shown) if p.name == name}).get(name)
 
 
 def diagnose(
@@ -352,15 +330,8 @@ def _opened(
     """Where a diagnosis keeps what it has finished, in a folder that says what it is of."""
     depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
-    if resume:
-        refuse_other_run(folder / PROVENANCE, provenance.identity)
-    prepare_folder(
-        folder, force=force, resume=resume, what="diagnosis", result=DIAGNOSED, written=WRITTEN
-    )
-    write_text(folder / RESOLVED, tomli_w.dumps(settings))
-    if not (folder / PROVENANCE).exists():
-        write_text(folder / PROVENANCE, provenance.as_json() + "\n")
-    return CheckpointStore(folder / CHECKPOINT, provenance.identity)
+    kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN}
+    return open_folder(folder, settings, provenance, force=force, resume=resume, **kind)
 
 
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:

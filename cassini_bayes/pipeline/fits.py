@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.computing.log import Log
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
@@ -21,13 +20,13 @@ from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.draws import event_log_marginal
-from cassini_bayes.model.gather import EventLike, PathLike, gather
+from cassini_bayes.model.gather import EventLike, PathLike
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.totals import SOFTWARE, DeltaVUse
 from cassini_bayes.pipeline.inputs import paths_of, read_inputs
-from cassini_bayes.pipeline.models import PriorsLike, model_of, priors_of
+from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.pipeline.provenance import read_provenance
-from cassini_bayes.pipeline.run import Reporter, execute, facts_of, write_results
+from cassini_bayes.pipeline.run import Quiet, Reporter, execute, facts_of, write_results
 from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
 from cassini_bayes.prediction.sources import locate
 from cassini_bayes.priors.reader import read_priors
@@ -39,7 +38,7 @@ from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model,
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi, summarise
-from cassini_bayes.sampling.ensembles import ProgressReport, SamplerSettings
+from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.sweep.models import chosen_names, units_of, values_of, walked_values
 
 if TYPE_CHECKING:
@@ -48,19 +47,6 @@ if TYPE_CHECKING:
 INTERVAL: Final = "90 % highest density"
 FIT_FILE: Final = "fit.nc"
 RESOLVED: Final = "resolved.toml"
-
-
-class Quiet:
-    """A reporter that does nothing: a library does not print."""
-
-    def log(self, text: str) -> None:
-        """Nothing."""
-
-    def progress(self, report: ProgressReport) -> None:
-        """Nothing."""
-
-    def count(self, what: str, done: int, total: int) -> None:
-        """Nothing."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -350,11 +336,14 @@ def fit(
         }
         run = check_run(table, "fit")
         return _written(run, Path(), folder, effect_files, force, resume, told)
-    model, findings = _model(
-        *(events, priors, effects, effect_files, pulse_shape, delta_v, source),
-        Policy.of(accept, leave_out=leave_out),
-        told.log,
-    )
+    if isinstance(events, Model) and (priors is not None or effects):
+        raise InputError(
+            "fit", "a model alone", "priors or effects beside it", "give them to build_model"
+        )
+    policy = Policy.of(accept, leave_out=leave_out)
+    reading = (effects, effect_files, pulse_shape, delta_v, source, policy, told.log)
+    read = read_model(events, priors, *reading)
+    model = read.model
     sampled = fit_model(
         model,
         settings,
@@ -372,36 +361,10 @@ def fit(
         z=sampled.flat_z,
         convergence=convergence_table(sampled),
         facts={},
-        notes=(*findings, *sampled.warnings),
+        notes=(*read.findings, *sampled.warnings),
         seed=settings.seed,
     )
     return result_of(review)
-
-
-def _model(
-    events: PathLike | EventLike | Iterable[EventLike] | Model,
-    priors: PriorsLike | None,
-    effects: Sequence[str | Effect],
-    effect_files: Sequence[PathLike],
-    pulse_shape: str,
-    delta_v: DeltaVUse,
-    source: str,
-    policy: Policy,
-    log: Log,
-) -> tuple[Model, tuple[str, ...]]:
-    """The model to fit, and what was found in its data."""
-    if isinstance(events, Model):
-        if priors is not None or effects:
-            raise InputError(
-                "fit", "a model alone", "priors or effects beside it", "give them to build_model"
-            )
-        return events, ()
-    known = priors_of(priors)
-    result, findings = gather(
-        events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
-    )
-    kinds = read_kinds([Path(path) for path in effect_files])
-    return model_of(result, known, pulse_shape, delta_v, effects, kinds), findings
 
 
 def _sampler_of(

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.effects.catalogue import named_effects
-from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
-from cassini_bayes.events.totals import TotalsEvent, split_reference
+from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import ReducedEvent, store_reduction
 from cassini_bayes.model.gather import read_reference, together
-from cassini_bayes.model.order import in_order_of_time
-from cassini_bayes.model.posterior import Event, Model, build_model
+from cassini_bayes.model.posterior import Event, Model
+from cassini_bayes.pipeline.models import model_of
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.priors.reader import Priors, read_priors
 
@@ -101,28 +99,13 @@ def read_inputs(
                 digests[file] = digest(base / file)
         given |= dict.fromkeys((event.id for event in read.events), reference)
     events, findings = together(reads, priors, policy)
-    effects = effects_of(run, events, priors, kinds)
     if kinds is not None:
         digests |= kinds.files
-    model = build_model(
-        events,
-        priors,
-        pulse_shape=run.model.pulse_shape,
-        delta_v=run.model.delta_v,
-        effects=effects,
+    asked = run.model
+    model = model_of(
+        events, priors, asked.pulse_shape, asked.delta_v, asked.effects, kinds, "model.effects"
     )
     return Inputs(events, priors, model, digests, findings)
-
-
-def effects_of(
-    run: RunFile, events: Sequence[Event], priors: Priors, kinds: Kinds | None
-) -> tuple[Effect, ...]:
-    """The effects that a run names, on these events."""
-    wheels = sorted({number for event in events for number in event.wheels})
-    inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
-    given = tuple(dict.fromkeys(inputs))
-    order = in_order_of_time(events)
-    return named_effects(run.model.effects, priors, wheels, given, kinds, "model.effects", order)
 
 
 def paths_of(given: Any) -> list[str]:

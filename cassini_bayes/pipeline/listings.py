@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -17,6 +17,7 @@ from cassini_bayes.prediction.planning import LEVEL
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import known_parameters
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
+from cassini_bayes.spacecraft.parameters import ParameterSpec
 from cassini_bayes.sweep.models import scalar_names
 
 
@@ -81,30 +82,22 @@ def parameters(of: PriorsLike | Spacecraft = "cassini") -> pd.DataFrame:
     """
     if isinstance(of, Spacecraft) or (isinstance(of, str) and not of.endswith(".toml")):
         spacecraft = of if isinstance(of, Spacecraft) else load_spacecraft(of)
-        specs = known_parameters(spacecraft).values()
-        return pd.DataFrame(
-            [
-                {"name": s.name, "unit": s.unit, "block": s.block, "meaning": s.meaning}
-                for s in specs
-            ]
-        )
-    rows = []
-    for prior in priors_of(of).parameters.values():
-        spec = prior.spec
-        fixed = f"fixed at {prior.fixed:g}" if prior.fixed is not None else ""
-        rows.append(
-            {
-                "name": spec.name,
-                "unit": spec.unit,
-                "block": spec.block,
-                "meaning": spec.meaning,
-                "prior": in_words(prior.distribution) if prior.distribution else fixed,
-                "mean": prior.mean,
-                "sd": prior.sd,
-                "source": prior.source,
-            }
-        )
-    return pd.DataFrame(rows)
+        return _described(known_parameters(spacecraft).values())
+    priors = list(priors_of(of).parameters.values())
+    fixed = ["" if prior.fixed is None else f"fixed at {prior.fixed:g}" for prior in priors]
+    return _described(prior.spec for prior in priors).assign(
+        prior=[
+            in_words(own.distribution) if own.distribution else otherwise
+            for own, otherwise in zip(priors, fixed, strict=True)
+        ],
+        **{name: [getattr(prior, name) for prior in priors] for name in ("mean", "sd", "source")},
+    )
+
+
+def _described(specs: Iterable[ParameterSpec]) -> pd.DataFrame:
+    """What parameters are, a row each."""
+    names = ["name", "unit", "block", "meaning"]
+    return pd.DataFrame([[getattr(spec, name) for name in names] for spec in specs], columns=names)
 
 
 def quantities(fit: FitResult | PathLike) -> pd.DataFrame:

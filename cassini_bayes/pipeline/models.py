@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import Kinds, read_kinds
@@ -79,11 +81,41 @@ def build_model(
     InputError
         Bad data or priors, with file, place, and how to mend it.
     """
-    known = priors_of(priors)
     policy = Policy.of(accept, leave_out=leave_out)
-    result, _ = gather(events, known, pulse_shape=pulse_shape, source=source, policy=policy)
+    read = read_model(events, priors, effects, effect_files, pulse_shape, delta_v, source, policy)
+    return read.model
+
+
+@dataclass(frozen=True)
+class ReadModel:
+    """A model with its events as they were given, and what was found in them."""
+
+    model: Model
+    events: tuple[Event, ...]
+    findings: tuple[str, ...] = ()
+
+
+def read_model(
+    events: EventLike | Iterable[EventLike] | Model,
+    priors: PriorsLike | None,
+    effects: Sequence[str | Effect],
+    effect_files: Sequence[PathLike],
+    pulse_shape: str,
+    delta_v: DeltaVUse,
+    source: str,
+    policy: Policy,
+    log: Log = silent,
+) -> ReadModel:
+    """As :func:`build_model`, with what was read and found; a model is taken as it is."""
+    if isinstance(events, Model):
+        return ReadModel(events, events.sources)
+    known = priors_of(priors)
+    given, findings = gather(
+        events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+    )
     kinds = read_kinds([Path(path) for path in effect_files])
-    return model_of(result, known, pulse_shape, delta_v, effects, kinds)
+    model = model_of(given, known, pulse_shape, delta_v, effects, kinds)
+    return ReadModel(model, given, findings)
 
 
 def model_of(
@@ -93,14 +125,15 @@ def model_of(
     delta_v: DeltaVUse,
     effects: Sequence[str | Effect],
     kinds: Kinds | None = None,
+    where: str = "effects",
 ) -> Model:
-    """The model of events that are ready, its effects by name or as they are."""
+    """The model of events that are ready, its effects as they are or by name, given ``where``."""
     names = [effect for effect in effects if isinstance(effect, str)]
     given = [effect for effect in effects if not isinstance(effect, str)]
     wheels = sorted({number for event in events for number in event.wheels})
     inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
     shown, order = tuple(dict.fromkeys(inputs)), in_order_of_time(events)
-    named = named_effects(names, priors, wheels, shown, kinds, order=order)
+    named = named_effects(names, priors, wheels, shown, kinds, where, order)
     return posterior.build_model(
         events, priors, pulse_shape=pulse_shape, delta_v=delta_v, effects=(*given, *named)
     )

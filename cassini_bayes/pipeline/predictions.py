@@ -55,6 +55,15 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 _SHOWN: Final = 12
+_DRAWN: Final = (
+    ("on_time_s", ("thruster",), "s"),
+    ("pulses", ("thruster",), "1"),
+    ("duration_s", (), "s"),
+    ("delta_v_computed_m_s", ("axis",), "m s-1"),
+    ("delta_v_delivered_m_s", ("axis",), "m s-1"),
+    ("hydrazine_g", (), "g"),
+)
+"""What a prediction has draws of, beyond which dimensions, in which unit."""
 
 
 def stream(seed: int, row: int) -> np.random.Generator:
@@ -103,37 +112,23 @@ class PredictionResult:
 
     def to_arviz(self) -> Any:  # ArviZ carries no types
         """Draws of every bias as the ``predictions`` group of ``arviz.InferenceData``."""
-
-        def stacked(name: str, dims: tuple[str, ...], unit: str) -> xr.DataArray:
-            values = np.stack(
-                [getattr(prediction, name) for prediction in self.predictions], axis=1
-            )
-            return xr.DataArray(values[None], dims=dims, attrs={"units": unit})
-
-        first = self.predictions[0]
-        each = ("chain", "draw", "bias")
+        first, each = self.predictions[0], ("chain", "draw", "bias")
         variables = {
-            "on_time_s": stacked("on_time_s", (*each, "thruster"), "s"),
-            "pulses": stacked("pulses", (*each, "thruster"), "1"),
-            "duration_s": stacked("duration_s", each, "s"),
+            name: xr.DataArray(
+                np.stack([getattr(own, name) for own in self.predictions], axis=1)[None],
+                dims=(*each, *dims),
+                attrs={"units": unit},
+            )
+            for name, dims, unit in _DRAWN
+            if getattr(first, name) is not None
         }
-        for name, unit in (("delta_v_computed_m_s", "m s-1"), ("delta_v_delivered_m_s", "m s-1")):
-            if getattr(first, name) is not None:
-                variables[name] = stacked(name, (*each, "axis"), unit)
-        if first.hydrazine_g is not None:
-            variables["hydrazine_g"] = stacked("hydrazine_g", each, "g")
         known: dict[str, list[str]] = {
             "bias": [prediction.request.id for prediction in self.predictions],
             "thruster": list(first.thrusters),
             "axis": list("xyz"),
         }
-        labelled = {
-            name: variable.assign_coords(
-                {dim: known[str(dim)] for dim in variable.dims if dim in known}
-            )
-            for name, variable in variables.items()
-        }
-        return draws_as_inference_data(labelled, "predictions")
+        labelled = xr.Dataset(variables, coords=known)
+        return draws_as_inference_data({name: labelled[name] for name in variables}, "predictions")
 
     def as_record(self, extra: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
         """Everything as plain JSON types; ``extra`` has more to say of each bias."""
@@ -399,17 +394,15 @@ def _requests(
 ) -> tuple[BiasRequest, ...]:
     """The planned biases, checked against the fit; options fill in what a request leaves open."""
     spacecraft = sources.model.spacecraft
+    result: tuple[BiasRequest, ...]
     if isinstance(bias, BiasRequest):
-        result: tuple[BiasRequest, ...] = (bias,)
-    elif isinstance(bias, str | Path):
-        is_table = str(bias).endswith(".csv")
-        result = (
-            read_requests(Path(bias), spacecraft)
-            if is_table
-            else (parse_bias(str(bias), spacecraft),)
-        )
-    else:
+        result = (bias,)
+    elif not isinstance(bias, str | Path):
         result = tuple(bias)
+    elif str(bias).endswith(".csv"):
+        result = read_requests(Path(bias), spacecraft)
+    else:
+        result = (parse_bias(str(bias), spacecraft),)
     when = None if epoch is None else parse_epoch(epoch)
     turned = None if quaternion is None else parse_quaternion(quaternion)
     filled = tuple(

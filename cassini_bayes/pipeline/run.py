@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import tomli_w
 
@@ -36,9 +36,11 @@ from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import worst_convergence
 from cassini_bayes.sampling.ensembles import MAX_RHAT, ProgressReport
 
+CHECKPOINT: Final = "checkpoint"
+PROVENANCE: Final = "provenance.json"
 WRITTEN: Final = (
-    "provenance.json",
-    "checkpoint",
+    PROVENANCE,
+    CHECKPOINT,
     STATISTICS,
     "fit.nc",
     "summary.csv",
@@ -58,6 +60,22 @@ class Reporter(Protocol):
 
     def progress(self, report: ProgressReport) -> None:
         """Where sampling stands, and the time left."""
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Pieces of a stage that are done, and the time left."""
+
+
+class Quiet:
+    """A reporter that does nothing: a library does not print."""
+
+    def log(self, text: str) -> None:
+        """Nothing."""
+
+    def progress(self, report: ProgressReport) -> None:
+        """Nothing."""
+
+    def count(self, what: str, done: int, total: int) -> None:
+        """Nothing."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +158,29 @@ def prepare_folder(
         ) from error
 
 
+def open_folder(
+    folder: Path, settings: Mapping[str, Any], provenance: Provenance, *, resume: bool, **how: Any
+) -> CheckpointStore:
+    """The checkpoints of a folder, which says what it is of; ``how`` as for :func:`prepare_folder`.
+
+    Raises
+    ------
+    InputError
+        As :func:`prepare_folder`; a run to resume that began with something else.
+    """
+    kept = folder / PROVENANCE
+    if resume:
+        refuse_other_run(kept, provenance.identity)
+    prepare_folder(folder, resume=resume, **how)
+    write_text(folder / "resolved.toml", tomli_w.dumps(settings))
+    if not kept.exists():
+        write_text(kept, provenance.as_json() + "\n")
+    return CheckpointStore(folder / CHECKPOINT, provenance.identity)
+
+
 def _has_begun(folder: Path, result: str) -> bool:
     """Whether a run has got as far as its first checkpoint."""
-    return (folder / result).exists() or any((folder / "checkpoint").glob("*.npz"))
+    return (folder / result).exists() or any((folder / CHECKPOINT).glob("*.npz"))
 
 
 def execute(
@@ -178,22 +216,17 @@ def execute(
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names))
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
-    if resume:
-        refuse_other_run(folder / "provenance.json", provenance.identity)
+    store = open_folder(folder, run.model_dump(), provenance, force=force, resume=resume)
     if inputs.model.telemetry or inputs.model.effects:
         for sentence in observability(inputs.model).sentences:
             reporter.log(sentence)
-    prepare_folder(folder, force=force, resume=resume)
-    write_text(folder / "resolved.toml", tomli_w.dumps(run.model_dump()))
-    if not (folder / "provenance.json").exists():
-        write_text(folder / "provenance.json", provenance.as_json() + "\n")
     inputs.store(folder)
     sampled = fit_model(
         inputs.model,
         settings,
         draws_per_ensemble=run.output.draws_per_ensemble,
         prior_draws=run.output.prior_draws,
-        store=CheckpointStore(folder / "checkpoint", provenance.identity),
+        store=store,
         log=reporter.log,
         progress=reporter.progress,
         threads=cores(),

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 import tomli_w
@@ -24,6 +24,7 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
+from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.record import Fit, read_fit
@@ -36,16 +37,6 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 FOLDER: Final = "sweep"
-
-
-class Reporter(Protocol):
-    """How a sweep reports what it is doing."""
-
-    def log(self, text: str) -> None:
-        """One line about a stage that begins or has ended."""
-
-    def count(self, what: str, done: int, total: int) -> None:
-        """Cells done, and the time left."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,10 +125,15 @@ def execute_sweep(
     if report or page is not None:
         reporter.log("figures")
         figures = _figures(planned, store, tables)
+        names, seed = planned.baseline.names, planned.baseline.seed
         if report:
-            _write_report(planned, tables, figures, folder)
+            facts = f"{len(planned.cells)} cells, cassini_bayes {__version__}, seed {seed}"
+            _write_report(tables, names, figures, folder, facts)
         if page is not None:
-            _write_page(page, planned, tables, figures, folder, command)
+            from cassini_bayes.report.sweep_page import write_sweep_page
+
+            title = f"Prior sensitivity of the run {folder.name}"
+            write_sweep_page(page, title, tables, names, figures, command, seed)
     seconds = time.monotonic() - began
     reporter.log(f"done in {seconds:.0f} s: {target}")
     return SweepOutcome(target, tables, len(planned.cells), seconds, inputs.findings)
@@ -182,7 +178,11 @@ def _figures(sweep: Sweep, store: CheckpointStore, tables: SweepTables) -> dict[
 
 
 def _write_report(
-    sweep: Sweep, tables: SweepTables, figures: Mapping[str, Figure], folder: Path
+    tables: SweepTables,
+    names: Sequence[str],
+    figures: Mapping[str, Figure],
+    folder: Path,
+    facts: str,
 ) -> None:
     from cassini_bayes.report.plots import save_figures
     from cassini_bayes.report.sweep import write_sweep_section
@@ -190,20 +190,4 @@ def _write_report(
     save_figures(figures, folder / FOLDER / "figures")
     page = folder / "report.html"
     if page.exists():
-        facts = f"{len(sweep.cells)} cells, cassini_bayes {__version__}, seed {sweep.baseline.seed}"
-        write_sweep_section(page, tables, sweep.baseline.names, figures, facts)
-
-
-def _write_page(
-    page: Path,
-    sweep: Sweep,
-    tables: SweepTables,
-    figures: Mapping[str, Figure],
-    folder: Path,
-    command: Sequence[str],
-) -> None:
-    from cassini_bayes.report.sweep_page import write_sweep_page
-
-    title = f"Prior sensitivity of the run {folder.name}"
-    names, seed = sweep.baseline.names, sweep.baseline.seed
-    write_sweep_page(page, title, tables, names, figures, command, seed)
+        write_sweep_section(page, tables, names, figures, facts)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from cassini_bayes import __version__
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.files.tables import frame_records
 from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
@@ -31,12 +31,7 @@ from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
 from cassini_bayes.results.mission.groups import mission_fit_record
-from cassini_bayes.results.mission.record import (
-    earlier_draws,
-    save_state,
-    save_trend,
-    trend_draws,
-)
+from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend, trend_draws
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
 from cassini_bayes.results.record import save_fit
 
@@ -246,9 +241,9 @@ def _record(
             for branch, branch_draws in trend.draws.branches.items()
         },
         "alarm_above": mission.trend.alarm,
-        "health": _rows(trend.health),
-        "onsets": _rows(trend.onsets),
-        "forecast": _rows(trend.forecast),
+        "health": frame_records(trend.health),
+        "onsets": frame_records(trend.onsets),
+        "forecast": frame_records(trend.forecast),
         "parameters": {
             name: {
                 "mean": float(np.mean(values[name])),
@@ -258,14 +253,3 @@ def _record(
             for name in names
         },
     }
-
-
-def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows as plain JSON types; what is not finite becomes null."""
-    return [
-        {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in row.items()
-        }
-        for row in json.loads(table.to_json(orient="records", double_precision=10))
-    ]

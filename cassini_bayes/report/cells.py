@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import pandas as pd
 
@@ -33,19 +33,29 @@ class Table:
     title: str = ""
 
 
-Column = str | Callable[[pd.Series], Cell | str]
-"""How a row of a frame becomes a cell: the column whose text it is, or a function of the row."""
+Column = str | Callable[[Any], Cell | str]
+"""How a row becomes a cell: the column whose text it is, or a function of the row."""
 
 
 def tabulate(
-    frame: pd.DataFrame, columns: Mapping[str, Column], *, heads: int = 1, title: str = ""
+    rows: pd.DataFrame | Iterable[Mapping[str, Any]],
+    columns: Mapping[str, Column],
+    *,
+    heads: int = 1,
+    title: str = "",
 ) -> Table:
-    """A frame's rows under headings, each with its column."""
-    rows = tuple(
+    """Rows of a frame, or records, under headings, each with its column."""
+    each = (row for _, row in rows.iterrows()) if isinstance(rows, pd.DataFrame) else rows
+    cells = tuple(
         tuple(_cell(row[c] if isinstance(c, str) else c(row)) for c in columns.values())
-        for _, row in frame.iterrows()
+        for row in each
     )
-    return Table(tuple(columns), rows, heads, title)
+    return Table(tuple(columns), cells, heads, title)
+
+
+def flagged(text: str, is_amiss: bool) -> Cell:
+    """A cell that stands out where something is amiss."""
+    return Cell(text, "flag" if is_amiss else "")
 
 
 def _cell(content: object) -> Cell:

@@ -17,6 +17,7 @@ from cassini_bayes.report.cells import (
     Table,
     as_percent,
     between,
+    flagged,
     formatted,
     in_units,
     mean_sd,
@@ -26,17 +27,7 @@ from cassini_bayes.report.cells import (
     tabulate,
     two_digits,
 )
-from cassini_bayes.report.page import (
-    BUDGET,
-    CHECKS,
-    CONVERGENCE,
-    DELTA_V,
-    NUISANCES,
-    Drawing,
-    Paragraph,
-    Section,
-    TableBlock,
-)
+from cassini_bayes.report.page import Chapter, Drawing, Paragraph, Section, TableBlock
 from cassini_bayes.report.plots.budget import budget_figure
 from cassini_bayes.report.plots.checks import balance_figure, convergence_figure, predictive_figure
 from cassini_bayes.report.plots.corners import nuisance_corner
@@ -94,7 +85,7 @@ def nuisances(review: Review) -> Iterator[Section]:
         for i, (names, title) in enumerate(nuisance_pages(review), start=1)
     )
     yield Section(
-        NUISANCES,
+        Chapter.NUISANCES,
         (
             Paragraph(Markup("{}{}").format(verdict, rule)),
             Drawing(
@@ -128,7 +119,7 @@ def torques(review: Review) -> Iterator[Section]:
         partial(torque_figure, review),
         fold="External torque of every event",
     )
-    yield Section(NUISANCES, (drawing,))
+    yield Section(Chapter.NUISANCES, (drawing,))
 
 
 def budget(review: Review) -> Iterator[Section]:
@@ -136,7 +127,7 @@ def budget(review: Review) -> Iterator[Section]:
     if review.budget.empty:
         return
     yield Section(
-        BUDGET,
+        Chapter.BUDGET,
         (
             Paragraph(
                 Markup(
@@ -173,7 +164,7 @@ def predictive(review: Review) -> Iterator[Section]:
         return
     inside, predicted = coverage(review)
     yield Section(
-        CHECKS,
+        Chapter.CHECKS,
         (
             Paragraph(
                 "Each posterior draw flies the same bias again: new rates in the dead-band, and "
@@ -202,7 +193,7 @@ def balance(review: Review) -> Iterator[Section]:
     """Momentum left over per event and axis."""
     last = "; of telemetry events what is left at the last usable row"
     yield Section(
-        CHECKS,
+        Chapter.CHECKS,
         (
             Drawing(
                 "balance",
@@ -237,7 +228,7 @@ def delta_v(review: Review) -> Iterator[Section]:
     )
     if review.delta_v.empty:
         none = Paragraph("No event of this run declares a computed ΔV.")
-        yield Section(DELTA_V, (text, none))
+        yield Section(Chapter.DELTA_V, (text, none))
         return
     drawing = Drawing(
         "delta_v",
@@ -249,7 +240,7 @@ def delta_v(review: Review) -> Iterator[Section]:
         fold="Printed ΔV against the on-board computation, drawn",
     )
     blocks = (text, drawing, TableBlock(delta_v_table(review), fold="ΔV of every event"))
-    yield Section(DELTA_V, blocks, name="delta_v", frame=review.delta_v)
+    yield Section(Chapter.DELTA_V, blocks, name="delta_v", frame=review.delta_v)
 
 
 def variants(review: Review) -> Iterator[Section]:
@@ -265,7 +256,7 @@ def variants(review: Review) -> Iterator[Section]:
         fold="Every thrust under the three uses of ΔV, drawn",
     )
     yield Section(
-        DELTA_V,
+        Chapter.DELTA_V,
         (TableBlock(variant_table(review), style="dense"), drawing),
         title="Thrust under the three uses of ΔV",
         name="variants",
@@ -278,7 +269,7 @@ def convergence(review: Review) -> Iterator[Section]:
     rule = review.facts.get(STOP_RULE, "")
     stated = Paragraph(Markup("<strong>Stop rule:</strong> {}.").format(rule))
     yield Section(
-        CONVERGENCE,
+        Chapter.CONVERGENCE,
         (
             *((stated,) if rule else ()),
             Drawing(
@@ -375,10 +366,8 @@ def predictive_table(review: Review) -> Table:
         return interval(row["hdi_90_low_s"], row["hdi_90_high_s"]) if predicted(row) else MISSING
 
     def tail(row: pd.Series) -> Cell:
-        if not predicted(row):
-            return Cell(MISSING)
-        probability = float(row["tail_probability"])
-        return Cell(or_missing(probability, ".3f"), "flag" if probability < UNLIKELY_TAIL else "")
+        probability = float(row["tail_probability"]) if predicted(row) else np.nan
+        return flagged(or_missing(probability, ".3f"), probability < UNLIKELY_TAIL)
 
     return tabulate(
         review.predictive,
@@ -396,11 +385,6 @@ def predictive_table(review: Review) -> Table:
 
 def balance_table(review: Review) -> Table:
     """Momentum left over per event and axis."""
-
-    def in_noise(row: pd.Series) -> Cell:
-        z = float(row["standardised"])
-        return Cell(signed(z), "flag" if abs(z) > 3 else "")
-
     return tabulate(
         review.balance,
         {
@@ -408,7 +392,9 @@ def balance_table(review: Review) -> Table:
             "axis": "axis",
             "momentum left over, mean ± sd [N m s]": mean_sd("residual_n_m_s", "sd_n_m_s"),
             "noise σ [N m s]": two_digits("noise_sd_n_m_s"),
-            "in noise σ": in_noise,
+            "in noise σ": lambda row: flagged(
+                signed(row["standardised"]), abs(row["standardised"]) > 3
+            ),
         },
         heads=2,
     )
@@ -418,7 +404,7 @@ def delta_v_table(review: Review) -> Table:
     """Printed ΔV and the fit of the on-board computation."""
     mean, sd = "computed_mean_mm_s", "computed_sd_mm_s"
     return tabulate(
-        review.delta_v.assign(left=review.delta_v["printed_mm_s"] - review.delta_v[mean]),
+        review.delta_v,
         {
             "event": "event",
             "printed [mm/s]": formatted("printed_mm_s", ".2f"),
@@ -465,16 +451,12 @@ def variant_table(review: Review) -> Table:
 
 def convergence_table(review: Review) -> Table:
     """Autocorrelation time, R-hat and effective sample size of walked parameters."""
-
-    def rhat(row: pd.Series) -> Cell:
-        return Cell(or_missing(row["rhat"], ".4f"), "flag" if row["rhat"] >= 1.01 else "")
-
     return tabulate(
         review.convergence,
         {
             "walked parameter": "name",
             "autocorrelation time τ [steps]": formatted("tau_steps", ".1f"),
-            "R-hat": rhat,
+            "R-hat": lambda row: flagged(or_missing(row["rhat"], ".4f"), row["rhat"] >= 1.01),
             "effective sample": formatted("ess", ".0f"),
         },
     )

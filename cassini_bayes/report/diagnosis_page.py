@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from cassini_bayes import __version__
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.diagnosis.drafts import Draft
 from cassini_bayes.effects.wording import rounded
-from cassini_bayes.report.cells import Cell, Table
+from cassini_bayes.report.cells import Cell, Column, Table, tabulate
 from cassini_bayes.report.diagnosis_pictures import Drawn
 from cassini_bayes.report.diagnosis_slider import width_slider
 from cassini_bayes.report.diagnosis_verdict import (
@@ -17,6 +17,7 @@ from cassini_bayes.report.diagnosis_verdict import (
     alike_nothing,
     gain_sentence,
     probability_words,
+    some_of,
     verdict_sentences,
 )
 from cassini_bayes.report.draft_file import draft_files
@@ -112,9 +113,16 @@ def _number(value: float | None, form: str = ".4g") -> str:
     return MISSING if value is None else format(value, form).replace("-", "−")
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str | Cell]], title: str) -> Table:
-    cells = tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in rows)
-    return Table(tuple(columns), cells, title=title)
+def _listed(
+    records: Sequence[Record] | None, columns: Mapping[str, Column], title: str
+) -> Table | None:
+    """A table of records; none without any."""
+    return tabulate(records, columns, title=title) if records else None
+
+
+def _numeric(text: Callable[[Record], str]) -> Column:
+    """A column of numbers."""
+    return lambda record: Cell(text(record), "n")
 
 
 def _fold_words(folded: Sequence[Record], nothing: Sequence[str]) -> str:
@@ -140,47 +148,33 @@ def _beginnings(cause: Record) -> str:
 
 def _cause_table(causes: Sequence[Record], record: Record) -> Table:
     widths = record["sensitivity"]
-    return _table(
-        (
-            "cause",
-            "probability",
-            "log Bayes factor (nats)",
-            "what it says",
-            "acts from",
-            "cannot be told from",
-            "probability at half / double prior width",
+    columns: dict[str, Column] = {
+        "cause": "name",
+        "probability": _numeric(lambda cause: probability_words(cause["probability"])),
+        "log Bayes factor (nats)": _numeric(lambda c: _signed(c["log_bayes_factor"], ",.1f")),
+        "what it says": lambda cause: cause.get("says") or MISSING,
+        "acts from": _beginnings,
+        "cannot be told from": lambda cause: (
+            some_of(cause["confounded_with"], MOST_NAMED) or MISSING
         ),
-        [
-            (
-                cause["name"],
-                Cell(probability_words(cause["probability"]), "n"),
-                Cell(_signed(cause["log_bayes_factor"], ",.1f"), "n"),
-                cause.get("says") or MISSING,
-                _beginnings(cause),
-                _names(cause["confounded_with"]),
-                Cell(" / ".join(_share(widths[w], cause["name"]) for w in widths), "n"),
-            )
-            for cause in causes
-        ],
-        "causes",
-    )
+        "probability at half / double prior width": _numeric(
+            lambda cause: " / ".join(_share(widths[w], cause["name"]) for w in widths)
+        ),
+    }
+    return tabulate(causes, columns, title="causes")
 
 
 def _share(shares: Mapping[str, float], name: str) -> str:
     return f"{shares.get(name, 0.0):.3f}"
 
 
-def _names(names: Sequence[str]) -> str:
-    if len(names) <= MOST_NAMED:
-        return ", ".join(names) or MISSING
-    return f"{', '.join(names[:MOST_NAMED])} and {len(names) - MOST_NAMED} others"
-
-
 def _symptom_table(record: Record) -> Table | None:
-    if not record["symptoms"]:
-        return None
-    rows = [(s["event"], s["what"], Cell(_signed(s["z"], ".1f"), "n")) for s in record["symptoms"]]
-    return _table(("event", "what", "z (σ)"), rows, "symptoms")
+    columns: dict[str, Column] = {
+        "event": "event",
+        "what": "what",
+        "z (σ)": _numeric(lambda symptom: _signed(symptom["z"], ".1f")),
+    }
+    return _listed(record["symptoms"], columns, "symptoms")
 
 
 def _comparison_table(record: Record) -> Table:
@@ -194,128 +188,118 @@ def _comparison_table(record: Record) -> Table:
         "heldout_coverage_90": "coverage of held-out 90 % central intervals (1)",
     }
     name = ", ".join(after["causes"]) or "none"
-    rows = [
-        (text, _number(before.get(key), ".6g"), _number(after.get(key), ".6g"))
-        for key, text in labels.items()
-        if before.get(key) is not None or after.get(key) is not None
-    ]
-    return _table(("quantity", "baseline", f"extended ({name})"), rows, "before and after")
+    shown = [k for k in labels if before.get(k) is not None or after.get(k) is not None]
+    columns: dict[str, Column] = {
+        "quantity": lambda row: labels[row["key"]],
+        "baseline": lambda row: _number(before.get(row["key"]), ".6g"),
+        f"extended ({name})": lambda row: _number(after.get(row["key"]), ".6g"),
+    }
+    return tabulate([{"key": key} for key in shown], columns, title="before and after")
 
 
 def _fit_table(record: Record) -> Table | None:
     """The fit of every channel, an event a row."""
-    fits = record.get("fit_percent") or []
-    if not fits:
-        return None
-    channels = list(dict.fromkeys(fit["channel"] for fit in fits))
+    fits: Sequence[Record] = record.get("fit_percent") or []
     by_place = {(fit["event"], fit["channel"]): fit for fit in fits}
-    rows = []
-    for event in dict.fromkeys(fit["event"] for fit in fits):
-        cells = []
-        for channel in channels:
-            fit = by_place.get((event, channel))
-            if fit is None:
-                cells.append(MISSING)
-            elif fit["extended_percent"] is None:
-                cells.append(_number(fit["baseline_percent"], ".2f"))
-            else:
-                before, after = fit["baseline_percent"], fit["extended_percent"]
-                cells.append(f"{_number(before, '.2f')} → {_number(after, '.2f')}")
-        rows.append((event, *cells))
-    return _table(("event", *channels), rows, "fit in per cent")
+
+    def of_channel(channel: str) -> Column:
+        return lambda row: _fit_words(by_place.get((row["event"], channel)))
+
+    events = [{"event": event} for event in dict.fromkeys(fit["event"] for fit in fits)]
+    channels = dict.fromkeys(fit["channel"] for fit in fits)
+    columns = {"event": "event", **{channel: of_channel(channel) for channel in channels}}
+    return _listed(events, columns, "fit in per cent")
+
+
+def _fit_words(fit: Record | None) -> str:
+    """The fit of a channel before and, where there is a cause, after."""
+    if fit is None:
+        return MISSING
+    before, after = (_number(fit[f"{model}_percent"], ".2f") for model in ("baseline", "extended"))
+    return before if fit["extended_percent"] is None else f"{before} → {after}"
 
 
 def _closure_table(record: Record, curves: Sequence[Curve]) -> Table | None:
     """End-point closure before and after, and the inferred unexplained momentum at the end."""
-    if not record["closure"]:
-        return None
     missing = {
         (curve.event, axis): (curve.mean[-1, c], curve.low[-1, c], curve.high[-1, c])
         for curve in curves
         for c, axis in enumerate("xyz")
     }
-    rows = []
-    for row in record["closure"]:
-        cells = [row["event"], row["axis"].upper()]
-        for model in ("baseline", "extended"):
+
+    def closure(model: str) -> Column:
+        def text(row: Record) -> str:
             value, sd = row[f"{model}_n_m_s"], row[f"{model}_sd_n_m_s"]
-            cells.append(f"{value:+.4f} ± {sd:.4f} ({value / sd:+.1f} σ)".replace("-", "−"))
-        lacking = missing.get((row["event"], row["axis"]))
-        cells.append(
-            MISSING
-            if lacking is None
-            else f"{lacking[0]:+.4f} [{lacking[1]:+.4f}, {lacking[2]:+.4f}]".replace("-", "−")
-        )
-        rows.append(cells)
-    columns = ("event", "axis", "baseline (N m s)", "extended (N m s)", "lacking (N m s)")
-    return _table(columns, rows, "momentum at the end")
+            return f"{value:+.4f} ± {sd:.4f} ({value / sd:+.1f} σ)".replace("-", "−")
+
+        return text
+
+    def lacking(row: Record) -> str:
+        if (row["event"], row["axis"]) not in missing:
+            return MISSING
+        mean, low, high = missing[row["event"], row["axis"]]
+        return f"{mean:+.4f} [{low:+.4f}, {high:+.4f}]".replace("-", "−")
+
+    columns: dict[str, Column] = {
+        "event": "event",
+        "axis": _axis,
+        "baseline (N m s)": closure("baseline"),
+        "extended (N m s)": closure("extended"),
+        "lacking (N m s)": lacking,
+    }
+    return _listed(record["closure"], columns, "momentum at the end")
+
+
+def _axis(row: Record) -> str:
+    return str(row["axis"]).upper()
 
 
 def _taken_up_table(record: Record) -> Table | None:
-    bent = record.get("taken_up") or []
-    if not bent:
-        return None
-    rows = [
-        (item["quantity"], rounded(item["baseline"], 2), rounded(item["extended"], 2))
-        for item in bent
-    ]
-    columns = ("free quantity", "baseline (prior σ)", "with the cause (prior σ)")
-    return _table(columns, rows, "what the baseline bends")
+    columns: dict[str, Column] = {
+        "free quantity": "quantity",
+        "baseline (prior σ)": lambda item: rounded(item["baseline"], 2),
+        "with the cause (prior σ)": lambda item: rounded(item["extended"], 2),
+    }
+    return _listed(record.get("taken_up"), columns, "what the baseline bends")
 
 
 def _visible_table(record: Record) -> Table | None:
     """From which size on causes would have been named."""
-    rows = [
-        (
-            row["cause"],
-            row["says"] or f"no size that its prior allows ({row['parameter']})",
-            Cell(_number(row["sd"], ".2g"), "n"),
-            Cell(_number(row["prior_width"], ".2g"), "n"),
-            row["unit"],
-        )
-        for row in record.get("visible") or []
-    ]
-    columns = ("cause", "would have been named", "known to (1 σ)", "width of its prior", "unit")
-    return _table(columns, rows, "what would have been seen") if rows else None
+    columns: dict[str, Column] = {
+        "cause": "cause",
+        "would have been named": lambda row: (
+            row["says"] or f"no size that its prior allows ({row['parameter']})"
+        ),
+        "known to (1 σ)": _numeric(lambda row: _number(row["sd"], ".2g")),
+        "width of its prior": _numeric(lambda row: _number(row["prior_width"], ".2g")),
+        "unit": "unit",
+    }
+    return _listed(record.get("visible"), columns, "what would have been seen")
 
 
 def _draft_table(record: Record) -> Table | None:
-    drafts = record.get("drafts") or []
-    if not drafts:
-        return None
-    rows = [
-        (
-            draft["form"],
-            draft["says"],
-            Cell(
-                f"{_signed(draft['heldout_gain_nats'], ',.1f')} ± "
-                f"{draft['heldout_gain_se_nats']:,.1f}",
-                "n",
-            ),
-            "yes" if draft["is_gain"] else "no",
-        )
-        for draft in drafts
-    ]
-    columns = ("form", "what it says", "held-out gain (nats)", "predicts what was held out")
-    return _table(columns, rows, "drafted effects")
+    def gain(draft: Record) -> str:
+        score, error = draft["heldout_gain_nats"], draft["heldout_gain_se_nats"]
+        return f"{_signed(score, ',.1f')} ± {error:,.1f}"
+
+    columns: dict[str, Column] = {
+        "form": "form",
+        "what it says": "says",
+        "held-out gain (nats)": _numeric(gain),
+        "predicts what was held out": lambda draft: "yes" if draft["is_gain"] else "no",
+    }
+    return _listed(record.get("drafts"), columns, "drafted effects")
 
 
 def _driver_table(record: Record) -> Table | None:
-    drivers = record.get("drivers") or []
-    if not drivers:
-        return None
-    rows = [
-        (
-            item["driver"],
-            item["event"],
-            item["axis"].upper(),
-            _signed(item["z"], ".1f"),
-            f"±{item['band_z']:.1f}",
-        )
-        for item in drivers
-    ]
-    columns = ("driver", "event", "axis", "correlation (σ)", "95 % of all (σ)")
-    return _table(columns, rows, "what the innovations go with")
+    columns: dict[str, Column] = {
+        "driver": "driver",
+        "event": "event",
+        "axis": _axis,
+        "correlation (σ)": lambda item: _signed(item["z"], ".1f"),
+        "95 % of all (σ)": lambda item: f"±{item['band_z']:.1f}",
+    }
+    return _listed(record.get("drivers"), columns, "what the innovations go with")
 
 
 def _provenance(record: Record) -> list[tuple[str, str]]:

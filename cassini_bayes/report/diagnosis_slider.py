@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from cassini_bayes.report.page import Slider, SliderPrior, SliderRow
-from cassini_bayes.report.plots.quantities import MISSING, display_scale, interval, plus_minus
+from cassini_bayes.report.plots.quantities import MISSING, display_scale
 from cassini_bayes.report.priors import width_label
 from cassini_bayes.sampling.warmstart import TRUSTED_K
 
@@ -77,10 +77,8 @@ def _cells(
     cells = []
     for _, _, key, factor, low, high in sizes:
         size = row["sizes"][key]
-        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in size["hdi_90"])
-        value = plus_minus(factor * size["mean"], factor * size["sd"])
-        ends = interval(*(factor * end for end in size["hdi_90"]))
-        cells.append(SliderRow(value, ends, left, round(right - left, 1)))
+        mean, sd, left, right = (factor * v for v in (size["mean"], size["sd"], *size["hdi_90"]))
+        cells.append(SliderRow.of(mean, sd, (left, right), (factor * low, factor * high)))
     for name in names:
         share = row["probabilities"].get(name, 0.0)
         cells.append(SliderRow(f"{share:.3f}", "–", 0.0, round(100.0 * share, 1)))

@@ -246,12 +246,13 @@ def _drafts(record: Record) -> list[str]:
 
 def _confounded(best: Record) -> list[str]:
     names: Sequence[str] = best["confounded_with"]
-    if not names:
-        return []
-    if len(names) <= MOST_NAMED:
-        return [f"These data cannot tell it from {', '.join(names)}."]
-    first = ", ".join(names[:MOST_NAMED])
-    return [f"These data cannot tell it from {first} and {len(names) - MOST_NAMED} others."]
+    return [f"These data cannot tell it from {some_of(names, MOST_NAMED)}."] if names else []
+
+
+def some_of(names: Sequence[str], most: int) -> str:
+    """Names one after another; of many the first, and how many others there are."""
+    others = f" and {len(names) - most} others" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{others}"
 
 
 def _second(record: Record) -> list[str]:

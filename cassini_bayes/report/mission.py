@@ -8,7 +8,7 @@ from typing import Final
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.mission.mission_file import MissionTable
-from cassini_bayes.report.cells import Cell, Column, Table, tabulate
+from cassini_bayes.report.cells import Cell, Column, Table, flagged, tabulate
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.results.mission.fitting import MissionFit, describe
@@ -123,7 +123,7 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
                 f"{1e3 * row['rate_n_per_year']:+.1f} ± {1e3 * row['rate_sd_n_per_year']:.1f}"
             ).replace("-", "−"),
             "P(falls)": _probability("falls"),
-            "P(loss)": lambda row: Cell(f"{row['failing']:.3f}", "flag" if row["alarm"] else ""),
+            "P(loss)": lambda row: flagged(f"{row['failing']:.3f}", row["alarm"]),
             "onset (90 %)": lambda row: (
                 Cell(f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})", "wrap")
                 if row["failing"] > mission.trend.degraded[0]

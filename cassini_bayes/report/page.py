@@ -4,35 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final
+from enum import Enum
+from typing import TYPE_CHECKING, ClassVar
 
 import pandas as pd
 
 from cassini_bayes.report.cells import Table
+from cassini_bayes.report.plots.quantities import interval, plus_minus
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 
-@dataclass(frozen=True)
-class Chapter:
-    """A heading of the page; ``anchor`` is its address."""
+class Chapter(Enum):
+    """Headings of the page in its order, each with its address."""
 
-    anchor: str
-    title: str
+    OBSERVABILITY = ("seen", "What these events can see")
+    INERTIA = ("inertia", "Inertia")
+    THRUSTS = ("thrusts", "Thrust of every thruster in every bias")
+    NUMBERS = ("numbers", "Bias by bias")
+    JOINT = ("joint", "What trades against what")
+    PRIORS = ("priors", "Had the priors been wider or narrower")
+    NUISANCES = ("nuisances", "Nuisances: prior against posterior")
+    BUDGET = ("budget", "Error budget")
+    CHECKS = ("checks", "Model against measurement")
+    DELTA_V = ("delta-v", "ΔV")
+    CONVERGENCE = ("convergence", "Convergence")
 
-
-OBSERVABILITY: Final = Chapter("seen", "What these events can see")
-INERTIA: Final = Chapter("inertia", "Inertia")
-THRUSTS: Final = Chapter("thrusts", "Thrust of every thruster in every bias")
-NUMBERS: Final = Chapter("numbers", "Bias by bias")
-JOINT: Final = Chapter("joint", "What trades against what")
-PRIORS: Final = Chapter("priors", "Had the priors been wider or narrower")
-NUISANCES: Final = Chapter("nuisances", "Nuisances: prior against posterior")
-BUDGET: Final = Chapter("budget", "Error budget")
-CHECKS: Final = Chapter("checks", "Model against measurement")
-DELTA_V: Final = Chapter("delta-v", "ΔV")
-CONVERGENCE: Final = Chapter("convergence", "Convergence")
+    def __init__(self, anchor: str, title: str) -> None:
+        self.anchor, self.title = anchor, title
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,15 @@ class SliderRow:
     interval: str
     left: float
     width: float
+
+    @classmethod
+    def of(
+        cls, mean: float, sd: float, ends: tuple[float, float], axis: tuple[float, float]
+    ) -> SliderRow:
+        """A mean with its interval on an axis between two values."""
+        low, high = axis
+        left, right = (round(100.0 * (end - low) / (high - low), 1) for end in ends)
+        return cls(plus_minus(mean, sd), interval(*ends), left, round(right - left, 1))
 
 
 @dataclass(frozen=True)

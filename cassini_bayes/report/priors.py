@@ -10,10 +10,11 @@ import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model.thrusts import THRUST_COMMON
-from cassini_bayes.report.page import PRIORS, Paragraph, Section, Slider, SliderPrior, SliderRow
-from cassini_bayes.report.plots.quantities import display_scale, interval, plus_minus
+from cassini_bayes.report.page import Chapter, Paragraph, Section, Slider, SliderPrior, SliderRow
+from cassini_bayes.report.plots.quantities import display_scale, plus_minus
 from cassini_bayes.report.plots.tables import (
     Column,
+    both_draws,
     common_column,
     flat_draws,
     level_columns,
@@ -46,7 +47,7 @@ def prior_slider(review: Review) -> Iterator[Section]:
     if not effects:
         return
     yield Section(
-        PRIORS,
+        Chapter.PRIORS,
         (
             Paragraph(
                 "Choose a prior and make it narrower or wider: the intervals are those of the fit "
@@ -66,16 +67,14 @@ def asked_for(review: Review) -> list[Column]:
     """What the slider moves: thrust levels, impulse, moments of inertia, as far as there are."""
     common = common_column(review)
     columns = [common, *level_columns(review)] if common and thrusters_of(review) else []
-    posterior, prior = review.fit.posterior, review.fit.prior
+    posterior = review.fit.posterior
     if IMPULSE in posterior:
-        after, before = (
-            np.nanmean(flat_draws(data, IMPULSE), axis=(1, 2)) for data in (posterior, prior)
-        )
+        after, before = (np.nanmean(draws, axis=(1, 2)) for draws in both_draws(review, IMPULSE))
         columns.append(Column("impulse per second, mean", "N", after, before))
     for name in (f"inertia_{moment}_kg_m2" for moment in MOMENTS):
         if review.model.telemetry and name in posterior:
-            after, before = flat_draws(posterior, name), flat_draws(prior, name)
-            columns.append(Column(name.removesuffix("_kg_m2"), "kg m²", after, before))
+            label = name.removesuffix("_kg_m2")
+            columns.append(Column(label, "kg m²", *both_draws(review, name)))
     return [column for column in columns if np.ptp(column.posterior) > 0]
 
 
@@ -150,8 +149,7 @@ def _row(effect: WidthEffect, i: int, j: int, axis: tuple[float, float]) -> Slid
     mean, sd, low, high = (
         float(v[i, j]) for v in (effect.mean, effect.sd, effect.low, effect.high)
     )
-    left, right = (round(100.0 * (v - axis[0]) / (axis[1] - axis[0]), 1) for v in (low, high))
-    return SliderRow(plus_minus(mean, sd), interval(low, high), left, round(right - left, 1))
+    return SliderRow.of(mean, sd, (low, high), axis)
 
 
 def _note(review: Review, effect: WidthEffect, i: int) -> str:

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 import pandas as pd
 
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.report.cells import Cell, Table
+from cassini_bayes.report.cells import Table, flagged, signed, tabulate
 from cassini_bayes.report.plots import Figure
-from cassini_bayes.report.plots.quantities import MISSING
 from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
 from cassini_bayes.sweep.tables import SweepTables
@@ -79,9 +77,8 @@ def strongest_sentence(sweep: pd.DataFrame) -> str:
     row = shown.loc[shown["shift_sd"].abs().idxmax()]
     return (
         f"The change that moves an answer most is {row['group']}, {row['change']}: "
-        f"{row['quantity']} moves by {_signed(row['shift_sd'], 2)} ± {row['shift_error']:.2f} of "
-        f"its posterior standard deviation, and its interval is {row['width_ratio']:.2f} ± "
-        f"{row['width_error']:.2f} times as wide."
+        f"{row['quantity']} moves by {_shift(row)} of its posterior standard deviation, and its "
+        f"interval is {row['width_ratio']:.2f} ± {row['width_error']:.2f} times as wide."
     )
 
 
@@ -92,63 +89,44 @@ def changes_table(sweep: pd.DataFrame) -> Table:
         shown.assign(size=shown["shift_sd"].abs()).groupby(["group", "change"])["size"].idxmax()
     ]
     order = strongest["shift_sd"].abs().sort_values(ascending=False).index[:STRONGEST]
-    rows = []
-    for _, row in strongest.loc[order].iterrows():
-        k = float(row["pareto_k"])
-        rows.append(
-            (
-                Cell(f"{row['group']}: {row['change']}"),
-                Cell(str(row["quantity"])),
-                Cell(f"{_signed(row['shift_sd'], 2)} ± {row['shift_error']:.2f}"),
-                Cell(f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}"),
-                Cell(str(row["estimate"])),
-                Cell(_plain(k) if np.isfinite(k) else MISSING, "flag" if k > 0.7 else ""),
-            )
-        )  # fmt: skip
-    return Table(
-        (
-            "changed prior",
-            "quantity it moves most",
-            "shift of the mean [posterior sd]",
-            "ratio of sd",
-            "estimate",
-            "Pareto k̂",
-        ),
-        tuple(rows),
+    return tabulate(
+        strongest.loc[order],
+        {
+            "changed prior": lambda row: f"{row['group']}: {row['change']}",
+            "quantity it moves most": "quantity",
+            "shift of the mean [posterior sd]": _shift,
+            "ratio of sd": lambda row: f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}",
+            "estimate": "estimate",
+            "Pareto k̂": lambda row: flagged(signed(row["pareto_k"], "z.2f"), row["pareto_k"] > 0.7),
+        },
     )
+
+
+def _shift(row: pd.Series) -> str:
+    return f"{signed(row['shift_sd'], '+.2f')} ± {row['shift_error']:.2f}"
 
 
 def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:
     """Largest power-scaling sensitivity of every block, and what it is of; events left out."""
-    rows = []
     selected = scaling[~scaling["component"].str.startswith(EVENT)]
-    for component, part in selected.groupby("component", sort=False):
-        worst = part.loc[part["sensitivity"].idxmax()]
-        rows.append(
-            (
-                Cell(str(component)),
-                Cell(f"{worst['sensitivity']:.3f}", "flag" if worst["sensitive"] else ""),
-                Cell(str(worst["quantity"])),
-                Cell(f"{int(part['sensitive'].sum())} of {len(names)}"),
-                Cell(_plain(worst["pareto_k"])),
-            )
-        )
-    return Table(
-        (
-            "prior block or likelihood",
-            "largest sensitivity",
-            "of",
-            "quantities above the threshold",
-            "Pareto k̂",
-        ),
-        tuple(rows),
+    parts = selected.groupby("component", sort=False)["sensitivity"]
+    above = selected.groupby("component", sort=False)["sensitive"].sum()
+    return tabulate(
+        selected.loc[parts.idxmax()],
+        {
+            "prior block or likelihood": "component",
+            "largest sensitivity": lambda row: flagged(
+                f"{row['sensitivity']:.3f}", row["sensitive"]
+            ),
+            "of": "quantity",
+            "quantities above the threshold": lambda row: (
+                f"{int(above[row['component']])} of {len(names)}"
+            ),
+            "Pareto k̂": lambda row: _plain(row["pareto_k"]),
+        },
     )
-
-
-def _signed(value: float, places: int) -> str:
-    return f"{value:+.{places}f}".replace("-", "−")
 
 
 def _plain(value: float) -> str:
     """Two decimals without a sign on nothing."""
-    return f"{round(float(value), 2) + 0.0:.2f}".replace("-", "−")
+    return f"{value:z.2f}".replace("-", "−")

@@ -20,18 +20,7 @@ from cassini_bayes.report.cells import (
     tabulate,
     two_digits,
 )
-from cassini_bayes.report.page import (
-    CHECKS,
-    INERTIA,
-    NUISANCES,
-    NUMBERS,
-    OBSERVABILITY,
-    Bullets,
-    Drawing,
-    Paragraph,
-    Section,
-    TableBlock,
-)
+from cassini_bayes.report.page import Bullets, Chapter, Drawing, Paragraph, Section, TableBlock
 from cassini_bayes.report.plots.inertia import inertia_figure, observability_figure
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
@@ -53,7 +42,7 @@ def observability(review: Review) -> Iterator[Section]:
     if not review.model.telemetry:
         return
     yield Section(
-        OBSERVABILITY,
+        Chapter.OBSERVABILITY,
         (
             Paragraph(
                 "Worked out before sampling, at the prior means, from the same columns as the "
@@ -91,7 +80,7 @@ def inertia(review: Review) -> Iterator[Section]:
             "of the shifts from their hand-picked perturbations."
         )
     yield Section(
-        INERTIA,
+        Chapter.INERTIA,
         (
             Paragraph(
                 Markup(
@@ -123,7 +112,7 @@ def inertia_methods(review: Review) -> Iterator[Section]:
     """The papers' least squares for the inertia, where there are slews."""
     if not review.inertia_methods.empty:
         yield Section(
-            INERTIA,
+            Chapter.INERTIA,
             (TableBlock(method_table(review)),),
             title="The methods it replaces",
             name="inertia_methods",
@@ -144,7 +133,7 @@ def thrust_methods(review: Review) -> Iterator[Section]:
             "† on-time below 5 s."
         )
         yield Section(
-            NUMBERS,
+            Chapter.NUMBERS,
             (text, *(TableBlock(table, fold=table.title) for table in tables)),
             title="The papers' estimates from the same telemetry",
         )
@@ -154,7 +143,7 @@ def torque_methods(review: Review) -> Iterator[Section]:
     """Torques from the wheels' drift, where an event is quiescent."""
     if not review.torque_methods.empty:
         yield Section(
-            NUISANCES,
+            Chapter.NUISANCES,
             (
                 Paragraph(
                     "While nothing fires and nothing turns, an external torque shows as a drift of "
@@ -175,7 +164,7 @@ def telemetry(review: Review) -> Iterator[Section]:
         return
     mends = (Paragraph("Mended while reading:"), Bullets(review.mends)) if review.mends else ()
     yield Section(
-        CHECKS,
+        Chapter.CHECKS,
         (
             Paragraph(
                 "The balance of every row that enters the likelihood, at the posterior. Rows taken "
@@ -210,21 +199,15 @@ def series(review: Review) -> Iterator[Section]:
             partial(series_figure, series),
             fold=f"{series.event}, drawn" if i > 1 else "",
         )
-        yield Section(CHECKS, (drawing,), name=f"series_{i}", frame=series.table())
-
-
-def _moment(table: pd.DataFrame, element: str) -> str:
-    return plus_minus(
-        float(table.loc[element, "mean_kg_m2"]), float(table.loc[element, "sd_kg_m2"])
-    )
+        yield Section(Chapter.CHECKS, (drawing,), name=f"series_{i}", frame=series.table())
 
 
 def inertia_numbers(review: Review) -> list[tuple[str, str]]:
     """The moments of inertia for the head of the page."""
     if not review.model.telemetry:
         return []
-    table = review.inertia.set_index("element")
-    return [(f"inertia {e}", f"{_moment(table, e)} kg m²") for e in MOMENTS]
+    table = review.inertia.set_index("element")[["mean_kg_m2", "sd_kg_m2"]].astype(float)
+    return [(f"inertia {e}", f"{plus_minus(*table.loc[e])} kg m²") for e in MOMENTS]
 
 
 def inertia_table(review: Review) -> Table:

@@ -21,17 +21,7 @@ from cassini_bayes.report.cells import (
     percent,
     tabulate,
 )
-from cassini_bayes.report.page import (
-    JOINT,
-    NUMBERS,
-    THRUSTS,
-    Card,
-    Cards,
-    Drawing,
-    Paragraph,
-    Section,
-    TableBlock,
-)
+from cassini_bayes.report.page import Card, Cards, Chapter, Drawing, Paragraph, Section, TableBlock
 from cassini_bayes.report.plots.corners import joint_corner, thrust_corner
 from cassini_bayes.report.plots.quantities import (
     INTERVAL,
@@ -54,11 +44,9 @@ from cassini_bayes.report.plots.tables import (
 )
 from cassini_bayes.report.plots.thrusts import thrust_figure
 from cassini_bayes.report.verdict import impulse_rows
+from cassini_bayes.results.baselines import MEAN, PER_EVENT, POOLED
 from cassini_bayes.results.review import Review
 
-PSEUDO_INVERSE: Final = "pseudo-inverse, per event"
-POOLED: Final = "pseudo-inverse, pooled"
-MEAN_OF_ALL: Final = "mean of all thrusters, per event"
 MOST_HELPED: Final = 3
 LEAST_WORTH: Final = 0.001
 
@@ -85,7 +73,7 @@ def thrusts(review: Review) -> Iterator[Section]:
         "printed thrust"
     )
     drawing = Drawing("thrusts", alt, caption, partial(thrust_figure, review))
-    yield Section(THRUSTS, (drawing,), name="baseline", frame=review.baseline)
+    yield Section(Chapter.THRUSTS, (drawing,), name="baseline", frame=review.baseline)
 
 
 def thrust_numbers(review: Review) -> Iterator[Section]:
@@ -100,7 +88,7 @@ def thrust_numbers(review: Review) -> Iterator[Section]:
     if review.baseline.empty:
         bars = " No estimates by the replaced methods are part of this run."
     yield Section(
-        NUMBERS,
+        Chapter.NUMBERS,
         (
             Paragraph(
                 "Each card: thrust of every thruster, and its impulse per second of commanded "
@@ -156,7 +144,7 @@ def joint(review: Review) -> Iterator[Section]:
                 fold="Corner plot of all thrust levels",
             )
         )
-    yield Section(JOINT, (Paragraph(text), *drawings))
+    yield Section(Chapter.JOINT, (Paragraph(text), *drawings))
 
 
 def _common(review: Review) -> pd.Series:
@@ -268,13 +256,10 @@ def thrust_matrix(review: Review) -> Table:
 
 def thrust_cards(review: Review) -> tuple[Card, ...]:
     """A card of every event, posterior beside baseline; last the level over all events."""
-    table, baseline = (
-        review.summary,
-        {
-            (row["method"], row["event"], row["thruster"]): row
-            for _, row in review.baseline.iterrows()
-        },
-    )
+    table = review.summary
+    baseline = {
+        (row["method"], row["event"], row["thruster"]): row for _, row in review.baseline.iterrows()
+    }
 
     def beside(method: str, event: str) -> Column:
         return lambda row: _baseline_cell(baseline.get((method, event, row["item"])))
@@ -309,8 +294,8 @@ def thrust_cards(review: Review) -> tuple[Card, ...]:
             "thrust, mean ± sd [N]": mean_sd(),
             **known,
             **delivered,
-            f"pseudo-inverse {bars}": beside(PSEUDO_INVERSE, event),
-            f"mean of all thrusters {bars}": beside(MEAN_OF_ALL, event),
+            f"pseudo-inverse {bars}": beside(PER_EVENT, event),
+            f"mean of all thrusters {bars}": beside(MEAN, event),
         }
         shown = tabulate(rows, columns, title=event)
         cards.append(

@@ -24,7 +24,7 @@ from cassini_bayes.report import (
     write_tables,
 )
 from cassini_bayes.report import sections as registry
-from cassini_bayes.report.page import THRUSTS, Paragraph, Section
+from cassini_bayes.report.page import Chapter, Paragraph, Section
 from cassini_bayes.results.review import Review
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "col", "wbr"}
@@ -216,7 +216,7 @@ def test_malicious_names_are_escaped() -> None:
     review = dataclasses.replace(review, name=evil, facts={evil: evil, "Stop rule": evil})
     fields = {field.name for field in dataclasses.fields(review)}
     vars(review).update({name: own for name, own in frames.items() if name not in fields})
-    thrusts = [own for own in sections_of(review) if own.chapter is THRUSTS]
+    thrusts = [own for own in sections_of(review) if own.chapter is Chapter.THRUSTS]
     html = page_of(review, figures_of(thrusts))
     page = Page(html)
     assert page.faults == []
@@ -268,7 +268,7 @@ def test_a_table_is_one_function_in_the_registry(
 
     def added(own: Review) -> Iterator[Section]:
         frame = own.summary[["name", "mean"]]
-        yield Section(THRUSTS, (Paragraph("one more"),), "Added", "added", frame)
+        yield Section(Chapter.THRUSTS, (Paragraph("one more"),), "Added", "added", frame)
 
     before = [own.name for own in sections_of(review) if own.frame is not None]
     assert len(before) == len(set(before)) >= 7

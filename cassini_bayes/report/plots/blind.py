@@ -4,43 +4,41 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, label_axes, styled_figure
 
 EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
 """Of sizes in σ: finer where detection turns from chance to sure."""
+SIZE = "size (σ of the data)"
 TICKS = (0, 1, 2, 3, 5, 10, 30, 100)  # of the same axis
 
 
 def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.DataFrame) -> Figure:
     """Power and coverage against size, reliability, p-values and false alarms on null, rates."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 6.6), layout="constrained")
+    with styled_figure(10.0, 6.6) as figure:
         upper, lower = figure.subplots(2, 3)
         single = trials[(trials["sigma"] != "") & ~trials["sigma"].str.contains(r"\+|nan")]
         known = single[single["stratum"] != "uncatalogued"]
         sigma = known["sigma"].astype(float).to_numpy()
         _by_size(upper[0], sigma, known["named"].to_numpy(dtype=bool))
-        upper[0].set_ylabel("named first, group counts (fraction)")
-        upper[0].set_title("power (number of trials)", loc="left")
+        power = ("named first, group counts (fraction)", "power (number of trials)")
+        label_axes(upper[0], SIZE, *power)
         _reliability(upper[1], reliability)
         null = trials[trials["hidden"] == "none"]
         _p_values(upper[2], null)
         _false_alarms(lower[0], null)
         covered = known["size_covered"].str.split().to_list()
         each = np.repeat(sigma, [len(flags) for flags in covered])
-        _by_size(
-            lower[1], each, np.array([f == "1" for flags in covered for f in flags], dtype=bool)
-        )
+        hit = np.array([flag == "1" for flags in covered for flag in flags], dtype=bool)
+        _by_size(lower[1], each, hit)
         lower[1].axhline(0.9, lw=0.8, color=INK)
-        lower[1].set_ylabel("90 % interval holds the truth (fraction)")
-        lower[1].set_title("coverage (number of parameters)", loc="left")
+        coverage = ("90 % interval holds the truth (fraction)", "coverage (number of parameters)")
+        label_axes(lower[1], SIZE, *coverage)
         _rates(lower[2], rates)
     return figure
 
@@ -60,7 +58,6 @@ def _by_size(axes: Axes, sigma: NDArray[np.float64], hit: NDArray[np.bool_]) -> 
     axes.set_xscale("symlog", linthresh=1.0)
     axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.set_xlim(0.0, max(12.0, 1.3 * max(places, default=0.0)))
-    axes.set_xlabel("size (σ of the data)")
     axes.set_ylim(-0.03, 1.12)
 
 
@@ -68,12 +65,16 @@ def _reliability(axes: Axes, reliability: pd.DataFrame) -> None:
     axes.plot([0, 1], [0, 1], lw=0.8, color=INK)
     bins = reliability.iloc[:-1]  # the last row holds all trials
     if len(bins):
-        value = bins["right"].to_numpy()
-        error = np.abs(np.stack([value - bins["low_95"], bins["high_95"] - value]))
+        value, error = bins["right"], _reach(bins, "right")
         axes.errorbar(bins["mean_stated"], value, yerr=error, fmt="o", color=POSTERIOR, capsize=3)
-    axes.set_xlabel("stated probability of the first cause (1)")
-    axes.set_ylabel("how often it was right (fraction)")
-    axes.set_title("reliability, 95 % binomial bars", loc="left")
+    across, up = "stated probability of the first cause (1)", "how often it was right (fraction)"
+    label_axes(axes, across, up, "reliability, 95 % binomial bars")
+
+
+def _reach(rows: pd.DataFrame, value: str = "value") -> NDArray[np.float64]:
+    """Length of the 95 % bars to either side."""
+    sides = np.stack([rows[value] - rows["low_95"], rows["high_95"] - rows[value]])
+    return np.asarray(np.abs(sides))
 
 
 def _p_values(axes: Axes, null: pd.DataFrame) -> None:
@@ -81,9 +82,8 @@ def _p_values(axes: Axes, null: pd.DataFrame) -> None:
     if len(values):
         axes.step(values, np.arange(1, len(values) + 1) / len(values), color=POSTERIOR)
     axes.plot([0, 1], [0, 1], lw=0.8, color=INK)
-    axes.set_xlabel("p-value of the baseline (1)")
-    axes.set_ylabel("share of trials below (fraction)")
-    axes.set_title(f"p-values, {len(values)} with nothing hidden", loc="left")
+    title = f"p-values, {len(values)} with nothing hidden"
+    label_axes(axes, "p-value of the baseline (1)", "share of trials below (fraction)", title)
 
 
 def _false_alarms(axes: Axes, null: pd.DataFrame) -> None:
@@ -93,25 +93,22 @@ def _false_alarms(axes: Axes, null: pd.DataFrame) -> None:
     alarms = [float((stated > at).mean()) if len(stated) else 0.0 for at in asked]
     axes.step(asked, alarms, where="post", color=POSTERIOR)
     axes.axhline(0.05, lw=0.8, color=INK)
-    axes.set_xlabel("probability asked of a name (1)")
-    axes.set_ylabel("false alarms (fraction)")
     axes.set_ylim(0.0, max(0.15, 1.15 * max(alarms)))
-    axes.set_title(f"false alarms, {len(stated)} with nothing hidden", loc="left")
+    title = f"false alarms, {len(stated)} with nothing hidden"
+    label_axes(axes, "probability asked of a name (1)", "false alarms (fraction)", title)
 
 
 def _rates(axes: Axes, rates: pd.DataFrame) -> None:
     """Rates that have a goal, with 95 % binomial bars and the goals as ticks."""
     shown = rates[(rates["goal"].notna()) & (rates["trials"] > 0)].iloc[::-1]
-    value, rows = shown["value"].to_numpy(), np.arange(len(shown))
-    error = np.stack([value - shown["low_95"], shown["high_95"] - value])
-    axes.errorbar(value, rows, xerr=np.abs(error), fmt="o", color=POSTERIOR, capsize=3)
+    value, rows = shown["value"], np.arange(len(shown))
+    axes.errorbar(value, rows, xerr=_reach(shown), fmt="o", color=POSTERIOR, capsize=3)
     axes.plot(shown["goal"], rows, "|", color=INK, markersize=14)
     names = [str(name).replace(": ", ":\n").replace(" (", "\n(") for name in shown["rate"]]
     axes.set_yticks(rows, names, fontsize=6.5)
     axes.set_ylim(-0.6, len(shown) - 0.4)
     axes.set_xlim(-0.03, 1.03)
-    axes.set_xlabel("rate (fraction)")
-    axes.set_title("rates and goals (ticks), 95 % bars", loc="left")
+    label_axes(axes, "rate (fraction)", "", "rates and goals (ticks), 95 % bars")
 
 
 def conditions_figure(counted: pd.DataFrame) -> Figure:
@@ -123,14 +120,13 @@ def conditions_figure(counted: pd.DataFrame) -> Figure:
     names, levels = list(counted["rate"].unique()), counted[["condition", "level"]]
     levels = levels.drop_duplicates().agg(": ".join, axis=1).replace("all: all", "all")
     places = levels.str.replace("_", " ").to_list()
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.2 + 0.23 * len(places)), layout="constrained")
+    with styled_figure(10.0, 1.2 + 0.23 * len(places)) as figure:
         each = figure.subplots(1, len(names), sharey=True)
         for axes, name in zip(each, names, strict=True):
             rows = counted[counted["rate"] == name].reset_index(drop=True)
             shown = rows[rows["trials"] > 0]
-            error = np.abs([shown["value"] - shown["low_95"], shown["high_95"] - shown["value"]])
-            axes.errorbar(shown["value"], shown.index, xerr=error, fmt="none", ecolor=POSTERIOR)
+            reach = _reach(shown)
+            axes.errorbar(shown["value"], shown.index, xerr=reach, fmt="none", ecolor=POSTERIOR)
             for rejected, face in ((True, POSTERIOR), (False, "white")):
                 own = shown[shown["rejected"] == rejected]
                 axes.plot(own["value"], own.index, "o", mec=POSTERIOR, mfc=face, ms=5)
@@ -147,22 +143,15 @@ def conditions_figure(counted: pd.DataFrame) -> Figure:
 
 def confusion_figure(matrix: pd.DataFrame) -> Figure:
     """Hidden kind against the kind named first; numbers are trials."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(
-            figsize=(2.6 + 0.42 * matrix.shape[1], 2.2 + 0.3 * matrix.shape[0]),
-            layout="constrained",
-        )
+    with styled_figure(2.6 + 0.42 * matrix.shape[1], 2.2 + 0.3 * matrix.shape[0]) as figure:
         axes = figure.subplots()
-        share = matrix.to_numpy() / matrix.to_numpy().sum(1, keepdims=True)
+        counts = matrix.to_numpy()
+        share = counts / counts.sum(1, keepdims=True)
         axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
-        for i in range(matrix.shape[0]):
-            for j in range(matrix.shape[1]):
-                count = int(matrix.iloc[i, j])
-                if count:
-                    colour = "white" if share[i, j] > 0.6 else INK
-                    axes.text(j, i, str(count), ha="center", va="center", fontsize=8, color=colour)
+        for i, j in np.argwhere(counts.astype(int)):
+            colour, text = "white" if share[i, j] > 0.6 else INK, f"{counts[i, j]:.0f}"
+            axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)
         axes.set_xticks(range(matrix.shape[1]), list(matrix.columns), rotation=60, ha="right")
         axes.set_yticks(range(matrix.shape[0]), list(matrix.index))
-        axes.set_xlabel("named first (kind)")
-        axes.set_ylabel("hidden (kind)")
+        label_axes(axes, "named first (kind)", "hidden (kind)")
     return figure

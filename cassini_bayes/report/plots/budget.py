@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.style import (
-    BLOCK_FILLS,
-    INK,
-    headline,
-    new_figure,
-    patch,
-)
+from cassini_bayes.report.plots.style import BLOCK_FILLS, INK, headline, new_figure, patch, symbols
 from cassini_bayes.report.plots.tables import (
     NOISE_ONLY,
     NONLINEAR,
@@ -31,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+CONSIDER: Final = "consider (nuisances at their priors, not estimated)"
 LEAST_SHOWN: Final = 0.003  # a share too thin to be seen is not in the legend
 
 
@@ -57,20 +52,14 @@ def budget_figure(review: Review) -> Figure:
     shares.set_ylabel("thruster")
     sigmas.set_ylabel("thruster")
     sigmas.yaxis.label.set_visible(False)
-    headline(
-        figure,
-        "Error budget of the thrusts" + (f", mean over {events} events" if events > 1 else ""),
-    )
-    blocks = budget_blocks(budget)
-    figure.legend(
-        handles=[
-            patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
-            for block, (fill, hatch) in _fills(blocks).items()
-            if (budget[block + SHARE].abs() >= LEAST_SHOWN).any()
-        ],
-        loc="outside lower left",
-        ncols=3,
-    )
+    over = f", mean over {events} events" if events > 1 else ""
+    headline(figure, f"Error budget of the thrusts{over}")
+    handles = [
+        patch(facecolor=fill, hatch=hatch, edgecolor="white", label=block_label(block))
+        for block, (fill, hatch) in _fills(budget_blocks(budget)).items()
+        if (budget[block + SHARE].abs() >= LEAST_SHOWN).any()
+    ]
+    figure.legend(handles=handles, loc="outside lower left", ncols=3)
     return figure
 
 
@@ -88,16 +77,8 @@ def _share_bars(axes: Axes, review: Review) -> None:
     for block, (fill, hatch) in _fills(budget_blocks(budget)).items():
         percent = 100.0 * _mean_over_events(budget, block + SHARE, thrusters)
         start = np.where(percent >= 0.0, right, left)
-        axes.barh(
-            np.arange(len(thrusters)),
-            percent,
-            left=start,
-            height=0.72,
-            color=fill,
-            hatch=hatch,
-            edgecolor="white",
-            lw=0.5,
-        )
+        look: dict[str, Any] = {"color": fill, "hatch": hatch, "edgecolor": "white", "lw": 0.5}
+        axes.barh(np.arange(len(thrusters)), percent, left=start, height=0.72, **look)
         right += np.clip(percent, 0.0, None)
         left += np.clip(percent, None, 0.0)
     axes.axvline(0.0, color=INK, lw=0.8)
@@ -116,37 +97,17 @@ def _sigma_dots(axes: Axes, review: Review) -> None:
     looks = (
         ("noise_only_sd_n", "noise only (nuisances known)", "#777777", "s", -0.22),
         ("full_sd_n", "full posterior", "#22558c", "o", 0.0),
-        (
-            "consider_sd_n",
-            "consider (nuisances at their priors, not estimated)",
-            "#b2182b",
-            "D",
-            0.22,
-        ),
+        ("consider_sd_n", CONSIDER, "#b2182b", "D", 0.22),
     )
     for column, label, colour, marker, offset in looks:
         values = 1e3 * grid(review.budget, column, review)  # mN
         places = np.arange(values.shape[1]) + offset
         centre = np.array([_finite_mean(v) for v in values.T])
         with np.errstate(invalid="ignore"):
-            axes.hlines(
-                places,
-                np.nan_to_num(np.nanmin(values, axis=0, initial=np.inf), posinf=np.nan),
-                np.nan_to_num(np.nanmax(values, axis=0, initial=-np.inf), neginf=np.nan),
-                color=colour,
-                lw=1.4,
-            )
-        axes.plot(
-            centre,
-            places,
-            ls="",
-            marker=marker,
-            ms=5.5,
-            mfc="white",
-            mec=colour,
-            mew=1.3,
-            label=label,
-        )
+            low = np.nan_to_num(np.nanmin(values, axis=0, initial=np.inf), posinf=np.nan)
+            high = np.nan_to_num(np.nanmax(values, axis=0, initial=-np.inf), neginf=np.nan)
+            axes.hlines(places, low, high, color=colour, lw=1.4)
+        symbols(axes, centre, places, marker, 5.5, colour, hollow=True, mew=1.3, label=label)
     axes.set_xlim(left=0.0)
     axes.grid(axis="x")
     axes.set_xlabel("standard deviation of the thrust [mN]\nmarker: mean, line: range over events")

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import binom
 
-from cassini_bayes.report.plots.style import POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.style import (
+    POSTERIOR,
+    VERDICT_COLOURS,
+    label_axes,
+    legend_below,
+    styled_figure,
+)
 from cassini_bayes.results.ranks import Ranks
 
 
@@ -22,8 +27,7 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
     distribution of the ranks minus the uniform one, every parameter, with the 99 % band of a single
     parameter at each rank.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 3.1 * len(ranks) + 0.4), layout="constrained")
+    with styled_figure(10.0, 3.1 * len(ranks) + 0.4) as figure:
         axes = figure.subplots(len(ranks), 2, squeeze=False)
         for (left, right), (label, every) in zip(axes, ranks.items(), strict=True):
             campaign = every.of_fitted()
@@ -36,9 +40,9 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
             outside = np.abs(coverage - 0.9) > tolerance
             colours = np.where(outside, VERDICT_COLOURS["conflict"], POSTERIOR)
             left.scatter(np.arange(p), coverage, s=8, c=colours, zorder=3)
-            left.set_xlabel("parameter, sorted by coverage")
-            left.set_ylabel("coverage of 90 % intervals\n(central, fraction)")
-            left.set_title(f"{label}: {n} repetitions, {p} parameters", loc="left")
+            up = "coverage of 90 % intervals\n(central, fraction)"
+            title = f"{label}: {n} repetitions, {p} parameters"
+            label_axes(left, "parameter, sorted by coverage", up, title)
             left.set_ylim(min(0.8, coverage.min() - 0.02), 1.0)
             grid = np.linspace(0.0, 1.0, 101)
             band = 2.576 * np.sqrt(grid * (1.0 - grid) / n)
@@ -46,8 +50,7 @@ def coverage_figure(ranks: Mapping[str, Ranks], tolerances: Mapping[str, float])
             for column in campaign.ranks.T:
                 difference = np.searchsorted(np.sort(column), grid, side="right") / n - grid
                 right.plot(grid, difference, lw=0.5, color=POSTERIOR, alpha=0.35)
-            right.set_xlabel("normalised rank of the truth among its posterior draws")
-            right.set_ylabel("ECDF of ranks − uniform\n(fraction)")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+            across = "normalised rank of the truth among its posterior draws"
+            label_axes(right, across, "ECDF of ranks − uniform\n(fraction)")
+        legend_below(figure, axes[0, 0], ncols=2)
     return figure

@@ -23,9 +23,12 @@ from cassini_bayes.report.plots.style import (
     ThrusterStyle,
     event_axis,
     headline,
+    legend_below,
     line,
     new_figure,
     patch,
+    symbol,
+    symbols,
     thruster_styles,
 )
 from cassini_bayes.report.plots.tables import all_events_of, grid, thrusters_of
@@ -34,10 +37,11 @@ from cassini_bayes.results.review import Review
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
+
+    from cassini_bayes.report.plots.style import Handle
 
 BAND: Final = "#e6e6e6"
+TAIL: Final = "#CC6677"
 LEGEND_COLUMN_IN: Final = 2.3  # inches for one entry
 NOT_REPLICATED_S: Final = 1e-9  # a replicate that never varies: set by the limit cycle
 
@@ -78,12 +82,9 @@ def predictive_figure(review: Review) -> Figure:
         figure,
         f"On-times: measured, and the same bias flown again – {INTERVAL_SHORT} of the replicates",
     )
-    figure.legend(
-        handles=_predictive_legend(styles),
-        loc="outside lower center",
-        ncols=int(figure.get_figwidth() / LEGEND_COLUMN_IN),
-        title="symbols: measured on-time of each thruster",
-    )
+    columns = int(figure.get_figwidth() / LEGEND_COLUMN_IN)
+    title = "symbols: measured on-time of each thruster"
+    legend_below(figure, _predictive_legend(styles), columns, title=title)
     return figure
 
 
@@ -91,39 +92,17 @@ def _measured(
     axes: Axes, x: np.ndarray, y: np.ndarray, answers: np.ndarray, style: ThrusterStyle
 ) -> None:
     """Filled where the model predicts the on-time, hollow where the limit cycle sets it."""
-    axes.plot(
-        x[answers], y[answers], ls="", marker=style.marker, ms=5, color=style.colour, zorder=4
-    )
-    rest = ~answers
-    axes.plot(
-        x[rest],
-        y[rest],
-        ls="",
-        marker=style.marker,
-        ms=4.2,
-        mfc="white",
-        mec=style.colour,
-        mew=0.8,
-        zorder=4,
-    )
+    look = (style.marker, 5, style.colour)
+    symbols(axes, x[answers], y[answers], *look, zorder=4)
+    hollow = (style.marker, 4.2, style.colour)
+    symbols(axes, x[~answers], y[~answers], *hollow, hollow=True, mew=0.8, zorder=4)
 
 
-def _predictive_legend(styles: Mapping[str, ThrusterStyle]) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [
-        line(ls="", marker=s.marker, color=s.colour, ms=5.5, label=name)
-        for name, s in styles.items()
-    ]
+def _predictive_legend(styles: Mapping[str, ThrusterStyle]) -> list[Handle]:
     return [
-        *handles,
+        *(symbol(style.marker, 5.5, style.colour, name) for name, style in styles.items()),
         patch(facecolor="#777777", alpha=0.35, label=f"replicates, {INTERVAL_SHORT}"),
-        line(
-            ls="",
-            marker="o",
-            ms=4,
-            mfc="white",
-            color="#555555",
-            label="hollow: set by the limit cycle",
-        ),
+        symbol("o", 4, "#555555", "hollow: set by the limit cycle", hollow=True),
     ]
 
 
@@ -141,9 +120,7 @@ def balance_figure(review: Review) -> Figure:
         residual = rows["residual_n_m_s"].to_numpy(dtype=float)
         reach = NORMAL_90 * rows["sd_n_m_s"].to_numpy(dtype=float)
         axes.vlines(x, residual - reach, residual + reach, color=POSTERIOR, lw=2.2, zorder=3)
-        axes.plot(
-            x, residual, ls="", marker="o", ms=5, mfc="white", mec=POSTERIOR, mew=1.3, zorder=4
-        )
+        symbols(axes, x, residual, "o", 5, POSTERIOR, hollow=True, mew=1.3, zorder=4)
         axes.axhline(0.0, color=INK, lw=0.8)
         event_axis(axes, short_events(events))
         axes.grid(axis="y")
@@ -151,24 +128,13 @@ def balance_figure(review: Review) -> Figure:
         axes.set_ylabel("momentum left over [N m s]")
         axes.yaxis.label.set_visible(axes is panels[0])
     headline(figure, "Momentum balance: thruster impulse plus torque minus the wheels' change")
-    figure.legend(
-        handles=[
-            line(
-                color=POSTERIOR,
-                marker="o",
-                mfc="white",
-                lw=2.2,
-                label=f"posterior, {NORMAL_INTERVAL}",
-            ),
-            patch(
-                facecolor=BAND,
-                edgecolor="#c4c4c4",
-                label=f"noise the model allows for, {NORMAL_INTERVAL}",
-            ),
-        ],
-        loc="outside lower center",
-        ncols=2,
-    )
+    posterior = {"color": POSTERIOR, "marker": "o", "mfc": "white", "lw": 2.2}
+    noise = f"noise the model allows for, {NORMAL_INTERVAL}"
+    handles = [
+        line(**posterior, label=f"posterior, {NORMAL_INTERVAL}"),
+        patch(facecolor=BAND, edgecolor="#c4c4c4", label=noise),
+    ]
+    legend_below(figure, handles, ncols=2)
     return figure
 
 
@@ -181,22 +147,10 @@ def convergence_figure(review: Review) -> Figure:
     for place, quantity in enumerate(quantities):
         rows = table[table["quantity"] == quantity]
         jitter = np.linspace(-0.25, 0.25, len(rows)) if len(rows) > 1 else np.zeros(1)
-        agreement.plot(
-            rows["rhat"], place + jitter, ls="", marker="o", ms=3, color=POSTERIOR, alpha=0.7
-        )
-        sizes.plot(
-            rows["ess_bulk"], place + jitter, ls="", marker="o", ms=3, color=POSTERIOR, alpha=0.7
-        )
-        sizes.plot(
-            rows["ess_tail"],
-            place + jitter,
-            ls="",
-            marker="^",
-            ms=3.2,
-            mfc="white",
-            mec="#CC6677",
-            mew=0.8,
-        )
+        for axes, column in ((agreement, "rhat"), (sizes, "ess_bulk")):
+            symbols(axes, rows[column], place + jitter, "o", 3, POSTERIOR, alpha=0.7)
+        look = ("^", 3.2, TAIL)
+        symbols(sizes, rows["ess_tail"], place + jitter, *look, hollow=True, mew=0.8)
     agreement.axvline(1.01, color=INK, lw=1.0, ls="--")
     worst = float(np.nanmax(table["rhat"], initial=1.0))
     agreement.set_xlim(
@@ -227,10 +181,7 @@ def convergence_figure(review: Review) -> Figure:
         axes.grid(axis="x")
     headline(figure, "Convergence of every scalar")
     figure.legend(
-        handles=[
-            line(ls="", marker="o", ms=5, color=POSTERIOR, label="bulk"),
-            line(ls="", marker="^", ms=5, mfc="white", color="#CC6677", label="tail"),
-        ],
+        handles=[symbol("o", 5, POSTERIOR, "bulk"), symbol("^", 5, TAIL, "tail", hollow=True)],
         loc="outside lower right",
         ncols=2,
         title="effective sample size",

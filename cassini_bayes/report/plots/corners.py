@@ -12,20 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import corner
 from cassini_bayes.report.plots.quantities import MISSING, plus_minus, wrapped_name
-from cassini_bayes.report.plots.style import (
-    INK,
-    POSTERIOR,
-    PRIOR_LINE,
-    headline,
-    line,
-    new_figure,
-)
-from cassini_bayes.report.plots.tables import (
-    Column,
-    common_column,
-    level_columns,
-    nuisance_column,
-)
+from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR_LINE, headline, line, new_figure
+from cassini_bayes.report.plots.tables import Column, common_column, level_columns, nuisance_column
 from cassini_bayes.results.review import Review
 
 if TYPE_CHECKING:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
 from cassini_bayes.balance.linearised import EventRows
@@ -22,8 +20,17 @@ from cassini_bayes.diagnosis.correlations import (
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
+from cassini_bayes.report.plots.panels import axis_panels
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    VERDICT_COLOURS,
+    legend_below,
+    line,
+    patch,
+    styled_figure,
+)
 
 MOST_CAUSES: Final = 12  # bars that fit one column
 LINEAR_NATS: Final = 10.0  # up to which the axis of log Bayes factors is linear
@@ -50,13 +57,13 @@ def innovation_figure(
     """
     if not baseline:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(baseline) + 0.6), layout="constrained")
-        axes = figure.subplots(len(baseline), 3, squeeze=False, sharex="row")
+    with styled_figure(10.0, 1.9 * len(baseline) + 0.6) as figure:
+        events = [event.event for event in baseline]
+        across, up = "time since first row (s)", "innovation (N m s)"
+        panels = axis_panels(figure, events, across, up, sharex="row")
         for row, event in enumerate(baseline):
             step = max(1, len(event.time_s) // _POINTS)
-            for c, axis in enumerate("XYZ"):
-                panel = axes[row, c]
+            for c, panel in enumerate(panels[row]):
                 residual = event.residual_n_m_s[:, c]
                 style = {"ms": 1.2, "color": "#c4c4c4", "rasterized": True}
                 panel.plot(event.time_s[::step], residual[::step], ".", **style)
@@ -70,12 +77,7 @@ def innovation_figure(
                 panel.axhline(0.0, lw=0.6, color=INK)
                 limit = 1.15 * float(np.quantile(np.abs(residual), 0.997))
                 panel.set_ylim(-limit, limit)
-                panel.set_title(f"{event.event}, {axis}", loc="left")
-                if row == len(baseline) - 1:
-                    panel.set_xlabel("time since first row (s)")
-                if c == 0:
-                    panel.set_ylabel("innovation (N m s)")
-        handles, labels = axes[0, 0].get_legend_handles_labels()
+        handles, labels = panels[0, 0].get_legend_handles_labels()
         labels = [f"{label}: mean of {WINDOW_ROWS} rows" for label in labels]
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
@@ -91,8 +93,7 @@ def correlation_figure(
     """
     names = list(dict.fromkeys(t.driver for t in before.drivers if t.event == event))
     places = dict(zip(names, range(len(names) - 1, -1, -1), strict=True))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 0.2 * len(names) + 1.5), layout="constrained")
+    with styled_figure(10.0, 0.2 * len(names) + 1.5) as figure:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         for panel, axis in zip(panels, "xyz", strict=True):
             panel.axvspan(-before.family_z, before.family_z, color=FAMILY_BAND, lw=0)
@@ -104,9 +105,8 @@ def correlation_figure(
                 panel.plot([t.z for t in tests_of], [places[t.driver] for t in tests_of], **style)
             for t in before.drivers:
                 if _untested(t, event, axis):
-                    panel.text(
-                        0.0, places[t.driver], "no test", ha="center", va="center", fontsize=6.5
-                    )
+                    place = {"ha": "center", "va": "center"}
+                    panel.text(0.0, places[t.driver], "no test", fontsize=6.5, **place)
             panel.set_title(f"{event}, {axis.upper()}", loc="left")
             panel.set_xscale("symlog", linthresh=10.0, linscale=3.0)
             panel.set_ylim(-0.7, len(names) - 0.3)
@@ -125,25 +125,19 @@ def _untested(tested: Tested, event: str, axis: str) -> bool:
 
 
 def _largest(shown: Sequence[InnovationTests | None], event: str) -> list[float]:
-    tests = [
-        t
-        for tests_of in shown
-        if tests_of is not None
-        for t in tests_of.drivers
-        if t.event == event
-    ]
-    return [abs(t.z) for t in tests if np.isfinite(t.z)]
+    tests = [t for tests_of in shown if tests_of is not None for t in tests_of.drivers]
+    return [abs(t.z) for t in tests if t.event == event and np.isfinite(t.z)]
 
 
 def _band_legend(
     figure: Figure, family: float, after: InnovationTests | None, what: str, unit: str
 ) -> None:
-    lines = [Line2D([], [], **BEFORE)] + ([] if after is None else [Line2D([], [], **AFTER)])
-    patches = [
-        Patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
-        Patch(color=FAMILY_BAND, label=f"95 % of {what} (±{family:.2f} {unit})"),
+    handles = [
+        *(line(**look) for look in ([BEFORE] if after is None else [BEFORE, AFTER])),
+        patch(color=SINGLE_BAND, label=f"95 % of one alone (±{POINTWISE:.2f} {unit})"),
+        patch(color=FAMILY_BAND, label=f"95 % of {what} (±{family:.2f} {unit})"),
     ]
-    figure.legend(handles=[*lines, *patches], loc="outside lower center", ncols=4)
+    legend_below(figure, handles, ncols=4)
 
 
 def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> Figure | None:
@@ -151,11 +145,11 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
     events = list(dict.fromkeys(white.event for white in before.whiteness))
     if not events:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.7 * len(events) + 0.8), layout="constrained")
-        panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
-        for row, event in enumerate(events):
-            for panel, axis in zip(panels[row], "xyz", strict=True):
+    with styled_figure(10.0, 1.7 * len(events) + 0.8) as figure:
+        labels = ("lag (rows)", "autocorrelation (1)")
+        panels = axis_panels(figure, events, *labels, sharex=True, sharey="row")
+        for row, event in zip(panels, events, strict=True):
+            for panel, axis in zip(row, "xyz", strict=True):
                 for shown, style in ((before, BEFORE), (after, AFTER)):
                     curves = () if shown is None else shown.whiteness
                     for curve in (w for w in curves if (w.event, w.axis) == (event, axis)):
@@ -169,10 +163,6 @@ def whiteness_figure(before: InnovationTests, after: InnovationTests | None) -> 
                                 panel.axhspan(-z * unit, z * unit, color=colour, lw=0)
                         panel.plot(lags, curve.value, **style)
                 panel.axhline(0.0, lw=0.6, color=INK)
-                panel.set_title(f"{event}, {axis.upper()}", loc="left")
-            panels[row, 0].set_ylabel("autocorrelation (1)")
-        for panel in panels[-1]:
-            panel.set_xlabel("lag (rows)")
         _band_legend(figure, before.family_lag_z, after, "all lags, axes and events", "/√rows")
     return figure
 
@@ -181,12 +171,12 @@ def discrepancy_figure(curves: Sequence[Curve]) -> Figure | None:
     """Unexplained momentum against time per event and body axis, mean and 90 % interval."""
     if not curves:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(curves) + 0.7), layout="constrained")
-        panels = figure.subplots(len(curves), 3, squeeze=False, sharex="row", sharey="row")
-        for row, curve in enumerate(curves):
-            for c, axis in enumerate("XYZ"):
-                panel = panels[row, c]
+    with styled_figure(10.0, 1.9 * len(curves) + 0.7) as figure:
+        events = [curve.event for curve in curves]
+        across, up = "time since first row (s)", "unexplained (N m s)"
+        panels = axis_panels(figure, events, across, up, sharex="row", sharey="row")
+        for row, curve in zip(panels, curves, strict=True):
+            for c, panel in enumerate(row):
                 panel.fill_between(
                     curve.time_s, curve.low[:, c], curve.high[:, c], color=POSTERIOR, alpha=0.22,
                     lw=0, label="pointwise central 90 % credible interval",
@@ -195,12 +185,7 @@ def discrepancy_figure(curves: Sequence[Curve]) -> Figure | None:
                     curve.time_s, curve.mean[:, c], color=POSTERIOR, lw=1.4, label="posterior mean"
                 )
                 panel.axhline(0.0, lw=0.6, color=INK)
-                panel.set_title(f"{curve.event}, {axis}", loc="left")
-                if row == len(curves) - 1:
-                    panel.set_xlabel("time since first row (s)")
-            panels[row, 0].set_ylabel("unexplained (N m s)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2)
+        legend_below(figure, panels[0, 0], ncols=2)
     return figure
 
 
@@ -208,8 +193,7 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
     """Posterior probability and log Bayes factor against ``none`` of the most probable causes."""
     shown = list(causes[:MOST_CAUSES])[::-1]
     names = [str(cause["name"]) for cause in shown]
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(8.6, 0.27 * len(shown) + 1.3), layout="constrained")
+    with styled_figure(8.6, 0.27 * len(shown) + 1.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         colours = ["#777777" if name in ("none", "unknown") else POSTERIOR for name in names]
         places = np.arange(len(shown))
@@ -220,29 +204,29 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
         factors = np.array([cause["log_bayes_factor"] for cause in shown])
         right.barh(places, factors, color=colours)
         right.axvline(0.0, lw=0.8, color=VERDICT_COLOURS["conflict"])
-        if np.nanmax(np.abs(factors)) > LINEAR_NATS:
-            right.set_xscale("symlog", linthresh=LINEAR_NATS)
-            label_powers(right.xaxis)
-        right.set_xlabel("log Bayes factor against none (nats)")
+        evidence_axis(right, far=bool(np.nanmax(np.abs(factors)) > LINEAR_NATS))
     return figure
+
+
+def evidence_axis(axes: Axes, *, far: bool) -> None:
+    """Log Bayes factors along x, logarithmic beyond ten nats where some are that ``far``."""
+    if far:
+        axes.set_xscale("symlog", linthresh=LINEAR_NATS)
+        label_powers(axes.xaxis)
+    axes.set_xlabel("log Bayes factor against none (nats)")
 
 
 def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
     """Probability of causes (rows, most probable first) at prior widths (columns)."""
     shown = probability.head(most).iloc[::-1]
     colours = ("#a6c4e0", POSTERIOR, "#d95f02")
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.4, 0.45 * len(shown) + 1.2), layout="constrained")
+    with styled_figure(7.4, 0.45 * len(shown) + 1.2) as figure:
         axes = figure.subplots()
         places = np.arange(len(shown))
         for i, width in enumerate(shown.columns):
-            axes.barh(
-                places + 0.25 * (1 - i),
-                shown[width],
-                height=0.24,
-                color=colours[i % len(colours)],
-                label=f"width × {width:g}",
-            )
+            colour, label = colours[i % len(colours)], f"width × {width:g}"
+            at = places + 0.25 * (1 - i)
+            axes.barh(at, shown[width], height=0.24, color=colour, label=label)
         for place in places[shown.to_numpy().max(axis=1) < UNSEEN]:
             axes.text(0.005, place, f"below {UNSEEN:g}", va="center", fontsize=7, color="#777777")
         axes.set_yticks(places, [str(name) for name in shown.index])

@@ -6,22 +6,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from cassini_bayes.report.plots.panels import (
-    bars,
-    finish,
-    legend_below,
-    limits_of,
-    outer_labels,
-    thruster_panels,
-)
+from cassini_bayes.report.plots.panels import bars, finish, limits_of, outer_labels, thruster_panels
 from cassini_bayes.report.plots.quantities import INTERVAL, NORMAL_90, NORMAL_INTERVAL, short_events
 from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
     event_axis,
     headline,
+    legend_below,
     line,
     new_figure,
+    symbol,
+    symbols,
 )
 from cassini_bayes.report.plots.tables import grid, thrusters_of
 from cassini_bayes.results.review import Review
@@ -53,25 +49,19 @@ def delta_v_figure(review: Review) -> Figure:
         axes.vlines(x, mean - zero - reach, mean - zero + reach, color=POSTERIOR, lw=6, alpha=0.4)
         axes.vlines(x, mean - zero - scatter, mean - zero + scatter, color=POSTERIOR, lw=1.2)
         axes.plot(x, mean - zero, ls="", marker="_", ms=11, mew=1.4, color=POSTERIOR)
-        axes.plot(
-            x, printed - zero, ls="", marker="D", ms=5, mfc="white", mec=INK, mew=1.2, zorder=4
-        )
+        symbols(axes, x, printed - zero, "D", 5, INK, hollow=True, mew=1.2, zorder=4)
         event_axis(axes, short_events(events))
         axes.grid(axis="y")
     values.set_ylabel("ΔV [mm/s]")
     values.set_ylim(bottom=0.0)
     differences.set_ylabel("ΔV minus the fit's mean [mm/s]")
     headline(figure, "ΔV: printed, and the on-board computation as fitted")
-    figure.legend(
-        handles=[
-            line(ls="", marker="D", ms=5, mfc="white", color=INK, label="printed with the event"),
-            line(color=POSTERIOR, lw=6, alpha=0.4, label="computed value"),
-            line(color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
-        ],
-        loc="outside lower center",
-        ncols=3,
-        title=f"bars: {NORMAL_INTERVAL}",
-    )
+    handles = [
+        symbol("D", 5, INK, "printed with the event", hollow=True),
+        line(color=POSTERIOR, lw=6, alpha=0.4, label="computed value"),
+        line(color=POSTERIOR, lw=1.2, label="with the channel's own noise"),
+    ]
+    legend_below(figure, handles, ncols=3, title=f"bars: {NORMAL_INTERVAL}")
     return figure
 
 

@@ -15,19 +15,22 @@ from cassini_bayes.report.plots.style import (
     POSTERIOR,
     PRIOR,
     headline,
+    legend_below,
     line,
     new_figure,
     patch,
+    symbol,
+    symbols,
 )
-from cassini_bayes.report.plots.tables import flat_draws
+from cassini_bayes.report.plots.tables import both_draws
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
+
+    from cassini_bayes.report.plots.style import Handle
 
 VERDICT_FILLS: Final = {
     "seen well": "#22558c",
@@ -55,19 +58,18 @@ def inertia_figure(review: Review) -> Figure | None:
     for axes in panels[len(walked) :]:
         axes.remove()
     headline(figure, "Inertia about the centre of mass, wheels included as if not spinning")
-    figure.legend(handles=_inertia_legend(bool(labels)), loc="outside lower center", ncols=3)
+    legend_below(figure, _inertia_legend(bool(labels)), ncols=3)
     return figure
 
 
 def _element(axes: Axes, review: Review, element: str, labels: list[str]) -> None:
     name = WITH_WHEELS.format(element)
-    posterior = flat_draws(review.fit.posterior, name)
-    prior = flat_draws(review.fit.prior, name)
+    posterior, prior = both_draws(review, name)
     low, high = hdi(posterior)
     before = np.quantile(prior, [0.05, 0.95])
     axes.axvspan(before[0], before[1], color="#ececec", zorder=0)
     axes.hlines(0, low, high, color=POSTERIOR, lw=5, zorder=3)
-    axes.plot([posterior.mean()], [0], "o", mfc="white", mec=POSTERIOR, ms=5, zorder=4)
+    symbols(axes, [posterior.mean()], [0], "o", 5, POSTERIOR, hollow=True, zorder=4)
     ends = [float(before[0]), float(before[1]), float(low), float(high)]
     if labels:
         table = review.inertia_methods
@@ -93,15 +95,10 @@ def _method(axes: Axes, place: int, row: pd.Series) -> None:
     axes.plot([estimate], [place], "D", color=BASELINE, ms=4.2, zorder=4)
 
 
-def _inertia_legend(methods: bool) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [
-        line(
-            color=POSTERIOR,
-            marker="o",
-            lw=5,
-            mfc="white",
-            label=f"posterior mean and {INTERVAL_SHORT}",
-        ),
+def _inertia_legend(methods: bool) -> list[Handle]:
+    posterior = f"posterior mean and {INTERVAL_SHORT}"
+    handles: list[Handle] = [
+        line(color=POSTERIOR, marker="o", lw=5, mfc="white", label=posterior),
         patch(facecolor="#ececec", edgecolor=PRIOR, label="prior, 90 % equal-tailed interval"),
     ]
     if methods:
@@ -120,12 +117,11 @@ def observability_figure(review: Review) -> Figure:
     axes = figure.subplots()
     came_out = _came_out(review)
     for place, (_, row) in enumerate(shown.iterrows()):
-        axes.barh(
-            place, row["ratio"], height=0.7, color=VERDICT_FILLS[str(row["verdict"])], zorder=2
-        )
+        fill = VERDICT_FILLS[str(row["verdict"])]
+        axes.barh(place, row["ratio"], height=0.7, color=fill, zorder=2)
         label = observed_name(str(row["quantity"]))
         if label in came_out:
-            axes.plot([came_out[label]], [place], "o", mfc="white", mec=INK, ms=4.6, zorder=3)
+            symbols(axes, [came_out[label]], [place], "o", 4.6, INK, hollow=True, zorder=3)
     axes.set_yticks(range(len(shown)), [observed_name(str(q)) for q in shown["quantity"]])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     axes.set_xlim(0.0, 1.15)
@@ -133,12 +129,12 @@ def observability_figure(review: Review) -> Figure:
     axes.grid(axis="x")
     axes.set_xlabel("posterior over prior standard deviation (1: the prior is returned)")
     headline(figure, "What these events can see: expected before sampling, and what came out")
-    handles: list[Line2D | Patch] = [
+    expected = [
         patch(facecolor=fill, label=f"expected: {verdict}")
         for verdict, fill in VERDICT_FILLS.items()
     ]
-    handles.append(line(ls="", marker="o", mfc="white", mec=INK, ms=5, label="came out (sd ratio)"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5)
+    came = symbol("o", 5, INK, "came out (sd ratio)", hollow=True)
+    legend_below(figure, [*expected, came], ncols=5)
     return figure
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.style import INK, STYLE
+from cassini_bayes.report.plots.style import INK, label_axes, styled_figure
 
 LEAST_DETECTED: Final = 5
 """Leaks whose median delay is shown: one of fewer is chance."""
@@ -24,8 +23,7 @@ def leak_figure(table: pd.DataFrame) -> Figure:
     ``table`` has the columns monitor, leak_n (intervals, N), leaks, found and delay_s. Monitors
     come in pairs, of one row and of several: thin and thick lines of one colour.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    with styled_figure(10.0, 4.4) as figure:
         left, right = figure.subplots(1, 2)
         for i, (label, rows) in enumerate(table.groupby("monitor", observed=True)):
             middle = [1e3 * np.sqrt(max(each.left, 1e-5) * each.right) for each in rows["leak_n"]]
@@ -51,16 +49,14 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
 
     ``after`` has the columns turn_deg, after_s and sigma, ``least`` stay_s, turn_deg and leak_n.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    with styled_figure(10.0, 4.0) as figure:
         left, right = figure.subplots(1, 2)
         for turn, rows in after.groupby("turn_deg"):
             left.plot(rows["after_s"], rows["sigma"], color=INK)
             last = (rows["after_s"].iloc[-1], rows["sigma"].iloc[-1])
             left.annotate(f" {turn:.0f}°", last, va="center", fontsize=8)
         left.axhline(5.0, lw=0.8, ls="--", color=INK)
-        left.set_xlabel("time after the turn, s")
-        left.set_ylabel("leak and torque apart, σ")
+        label_axes(left, "time after the turn, s", "leak and torque apart, σ")
         for stay, rows in least.groupby("stay_s"):
             right.plot(rows["turn_deg"], 1e3 * rows["leak_n"], color=INK)
             first = (rows["turn_deg"].iloc[0], 1e3 * rows["leak_n"].iloc[0])
@@ -75,8 +71,7 @@ def torque_figure(after: pd.DataFrame, least: pd.DataFrame) -> Figure:
         shown = [tick for tick in ticks if low <= tick <= high]
         right.set_yticks(shown, [f"{tick:g}" for tick in shown])
         right.minorticks_off()
-        right.set_xlabel("turn, degrees")
-        right.set_ylabel("least leak told apart at 5 σ, mN")
+        label_axes(right, "turn, degrees", "least leak told apart at 5 σ, mN")
     return figure
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.report.plots.style import INK, PRIOR, thruster_styles
+from cassini_bayes.report.plots.style import INK, PRIOR, new_figure, symbols, thruster_styles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,11 +41,9 @@ def mission_drawings(
 
 def over_time(own: pd.DataFrame, name: str, label: str, dated: Mapping[str, str]) -> Figure:
     """One panel per thruster: mean and central 90 %; filled where the event saw the thruster."""
-    from matplotlib.figure import Figure
-
     thrusters = list(dict.fromkeys(own["thruster"]))
     rows = -(-len(thrusters) // _COLUMNS)
-    figure = Figure(figsize=(11.0, 2.6 * rows), layout="constrained")
+    figure = new_figure(11.0, 2.6 * rows)
     grid = figure.subplots(rows, _COLUMNS, sharex=True, sharey=True, squeeze=False)
     styles = thruster_styles(thrusters)
     within = {
@@ -67,13 +65,9 @@ def over_time(own: pd.DataFrame, name: str, label: str, dated: Mapping[str, str]
         axes.set_visible(False)
     branch = own["branch"].iloc[0]
     facts = ", ".join(f"{what} {epoch[:10]}" for epoch, what in within.items())
-    figure.suptitle(
-        f"Branch {branch}: {label}, mean and central 90 %; filled: on for more than 5 s"
-        + (f"\ndashed: {facts}" if facts else ""),
-        x=0.01,
-        ha="left",
-        fontsize=9.5,
-    )
+    dashed = f"\ndashed: {facts}" if facts else ""
+    shown = f"{label}, mean and central 90 %; filled: on for more than 5 s{dashed}"
+    figure.suptitle(f"Branch {branch}: {shown}", x=0.01, ha="left", fontsize=9.5)
     return figure
 
 
@@ -91,16 +85,13 @@ def _panel(axes: Axes, part: pd.DataFrame, name: str, colour: str) -> None:
 
 def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Figure:
     """Probability that a thruster has lost thrust, and of each onset given that it has."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    figure = new_figure(9.0, 3.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
     thrusters = list(health["thruster"])
     styles = thruster_styles(thrusters)
     places = np.arange(len(thrusters))
-    left.barh(
-        places, health["failing"], color=[styles[name].colour for name in thrusters], height=0.7
-    )
+    colours = [styles[name].colour for name in thrusters]
+    left.barh(places, health["failing"], color=colours, height=0.7)
     left.set_yticks(places, [name.upper() for name in thrusters])
     left.invert_yaxis()
     left.set_xlim(0.0, 1.0)
@@ -110,14 +101,11 @@ def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Fig
     for name in shown:
         part = onsets[onsets["thruster"] == name]
         chance = health.loc[health["thruster"] == name, "failing"].iloc[0]
-        right.plot(
-            when[part["event"]],
-            part["probability"],
-            styles[name].marker,
-            color=styles[name].colour,
-            markersize=4.0,
-            label=f"{name.upper()} ({chance:.0%})",
+        look, label = (
+            (styles[name].marker, 4.0, styles[name].colour),
+            f"{name.upper()} ({chance:.0%})",
         )
+        symbols(right, when[part["event"]], part["probability"], *look, label=label)
     right.set_ylabel("probability of the onset, if it fails")
     right.set_ylim(0.0, 1.15 * right.dataLim.y1)
     right.tick_params(axis="x", labelrotation=35)

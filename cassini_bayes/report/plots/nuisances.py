@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
@@ -23,23 +23,18 @@ from cassini_bayes.report.plots.style import (
     PRIOR,
     VERDICT_COLOURS,
     headline,
+    legend_below,
     line,
     new_figure,
     patch,
+    symbols,
 )
-from cassini_bayes.report.plots.tables import (
-    all_events_of,
-    nuisance_column,
-    parameter_scale,
-)
+from cassini_bayes.report.plots.tables import all_events_of, nuisance_column, parameter_scale
 from cassini_bayes.results.review import Review
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
 
 PRIOR_UNITS: Final = "departure from the prior mean [prior standard deviations]"
 MARKERS: Final = {"conflict": "X", "informed": "o", "prior returned": "s"}
@@ -88,50 +83,44 @@ def _walked_row(review: Review, row: pd.Series) -> ForestRow:
     name, unit = str(row["name"]), str(row["unit"])
     scale = parameter_scale(review, name)
     column = nuisance_column(review, name)
-    centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
-    if column is None:
-        prior_low, prior_high = -NORMAL_90, NORMAL_90
-    else:
-        bounds = np.quantile(column.prior / scale.factor, [0.05, 0.95])
-        prior_low, prior_high = ((float(b) - centre) / spread for b in bounds)
+    ends = (-NORMAL_90, NORMAL_90)
+    if column is not None:
+        centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
+        low, high = np.quantile(column.prior / scale.factor, [0.05, 0.95])
+        ends = (float(low) - centre) / spread, (float(high) - centre) / spread
     verdict = str(row["verdict"])
     surprise = f"  ({row['surprise']:+.1f} σ)".replace("-", "−") if verdict == "conflict" else ""
-    text = (
-        f"{_shown(row['mean'], row['sd'], scale.factor)} {scale.unit.strip('–')}"
-        f"   prior {_shown(centre, spread, scale.factor)}"
-    )
-    return ForestRow(
-        label=f"{short_name(name, unit)}{surprise}",
-        group=str(row["block"]),
-        mean=(float(row["mean"]) - centre) / spread,
-        low=(float(row["hdi_90_low"]) - centre) / spread,
-        high=(float(row["hdi_90_high"]) - centre) / spread,
-        prior_low=prior_low,
-        prior_high=prior_high,
-        verdict=verdict,
-        text=text,
-    )
+    label = f"{short_name(name, unit)}{surprise}"
+    unit_shown = Scale(scale.factor, scale.unit.strip("–"))
+    return _in_prior_units(row, label, str(row["block"]), ends, verdict, unit_shown)
 
 
 def _torque_row(row: pd.Series, shown_events: dict[str, str], scale: Scale) -> ForestRow:
-    centre, spread = float(row["prior_mean"]), float(row["prior_sd"])
-    narrowed = float(row["sd"]) < 0.95 * spread
-    return ForestRow(
-        label=shown_events.get(str(row["event"]), str(row["event"])),
-        group=f"axis {row['item']}",
-        mean=(float(row["mean"]) - centre) / spread,
-        low=(float(row["hdi_90_low"]) - centre) / spread,
-        high=(float(row["hdi_90_high"]) - centre) / spread,
-        prior_low=-NORMAL_90,
-        prior_high=NORMAL_90,
-        verdict="informed" if narrowed else "prior returned",
-        text=f"{_shown(row['mean'], row['sd'], scale.factor)} {scale.unit}"
-        f"   prior {_shown(centre, spread, scale.factor)}",
+    label = shown_events.get(str(row["event"]), str(row["event"]))
+    narrowed = float(row["sd"]) < 0.95 * float(row["prior_sd"])
+    verdict = "informed" if narrowed else "prior returned"
+    return _in_prior_units(
+        row, label, f"axis {row['item']}", (-NORMAL_90, NORMAL_90), verdict, scale
     )
 
 
-def _shown(mean: float, sd: float, factor: float) -> str:
-    return plus_minus(float(mean) * factor, float(sd) * factor)
+def _in_prior_units(
+    row: pd.Series,
+    label: str,
+    group: str,
+    prior_ends: tuple[float, float],
+    verdict: str,
+    scale: Scale,
+) -> ForestRow:
+    """A row of posterior and prior as departures from the prior's mean in its deviations."""
+    values = row[["mean", "hdi_90_low", "hdi_90_high"]].astype(float)
+    mean, low, high = ((values - float(row["prior_mean"])) / float(row["prior_sd"])).tolist()
+    after, before = (
+        plus_minus(float(row[centre]) * scale.factor, float(row[spread]) * scale.factor)
+        for centre, spread in (("mean", "sd"), ("prior_mean", "prior_sd"))
+    )
+    text = f"{after} {scale.unit}   prior {before}"
+    return ForestRow(label, group, mean, low, high, *prior_ends, verdict, text)
 
 
 def forest_figure(rows: Sequence[ForestRow], title: str) -> Figure:
@@ -145,17 +134,7 @@ def forest_figure(rows: Sequence[ForestRow], title: str) -> Figure:
     for place, row in zip(places, ordered, strict=True):
         _forest_row(axes, place, row)
     for group, place in heads.items():
-        axes.text(
-            0.008,
-            place,
-            group,
-            transform=axes.get_yaxis_transform(),
-            fontsize=8,
-            color="#555555",
-            fontweight="bold",
-            va="center",
-            ha="left",
-        )
+        _words(axes, 0.008, place, group, fontsize=8, color="#555555", fontweight="bold")
     reach = max([3.0, *(1.08 * abs(v) for r in ordered for v in (r.low, r.high) if np.isfinite(v))])
     axes.set_xlim(-reach, reach)
     axes.set_ylim(bottom, -1.3)
@@ -170,21 +149,15 @@ def forest_figure(rows: Sequence[ForestRow], title: str) -> Figure:
     axes.set_ylabel("parameter (units at the right)")
     headline(figure, title)
     used = [v for v in VERDICT_COLOURS if any(r.verdict == v for r in ordered)]
-    handles: list[Line2D | Patch] = [
-        patch(facecolor="#dedede", edgecolor=PRIOR, label="prior, 90 % equal-tailed")
+    interval = {"lw": 2.5, "ms": 5.5, "mfc": "white"}
+    handles = [
+        patch(facecolor="#dedede", edgecolor=PRIOR, label="prior, 90 % equal-tailed"),
+        *(
+            line(color=VERDICT_COLOURS[v], marker=MARKERS[v], label=VERDICT_MEANING[v], **interval)
+            for v in used
+        ),
     ]
-    handles += [
-        line(
-            color=VERDICT_COLOURS[v],
-            marker=MARKERS[v],
-            lw=2.5,
-            ms=5.5,
-            mfc="white",
-            label=VERDICT_MEANING[v],
-        )
-        for v in used
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    legend_below(figure, handles, ncols=len(handles))
     return figure
 
 
@@ -206,35 +179,15 @@ def _places(
 
 def _forest_row(axes: Axes, place: float, row: ForestRow) -> None:
     colour = VERDICT_COLOURS.get(row.verdict, INK)
-    axes.barh(
-        place,
-        row.prior_high - row.prior_low,
-        left=row.prior_low,
-        height=0.72,
-        color="#dedede",
-        edgecolor=PRIOR,
-        lw=0.5,
-        zorder=1,
-    )
+    grey: dict[str, Any] = {"color": "#dedede", "edgecolor": PRIOR, "lw": 0.5, "zorder": 1}
+    axes.barh(place, row.prior_high - row.prior_low, left=row.prior_low, height=0.72, **grey)
     axes.hlines(place, row.low, row.high, color=colour, lw=2.5, zorder=3)
-    axes.plot(
-        [row.mean],
-        [place],
-        ls="",
-        marker=MARKERS.get(row.verdict, "o"),
-        ms=5.5,
-        mfc="white",
-        mec=colour,
-        mew=1.3,
-        zorder=4,
-    )
-    axes.text(
-        1.01,
-        place,
-        row.text,
-        transform=axes.get_yaxis_transform(),
-        fontsize=7.6,
-        va="center",
-        ha="left",
-        color="#333333",
-    )
+    marker = MARKERS.get(row.verdict, "o")
+    symbols(axes, [row.mean], [place], marker, 5.5, colour, hollow=True, mew=1.3, zorder=4)
+    _words(axes, 1.01, place, row.text, fontsize=7.6, color="#333333")
+
+
+def _words(axes: Axes, across: float, place: float, text: str, **look: Any) -> None:
+    """Text of a row, at a fraction of the width."""
+    frame = axes.get_yaxis_transform()
+    axes.text(across, place, text, transform=frame, va="center", ha="left", **look)

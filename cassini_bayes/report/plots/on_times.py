@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, VERDICT_COLOURS
+from cassini_bayes.report.plots.criticism import evidence_axis
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    VERDICT_COLOURS,
+    label_axes,
+    legend_below,
+    styled_figure,
+)
 
 MOST_CAUSES = 7  # bars that fit one column
 GREY = "#777777"
-LINEAR_NATS = 10.0  # up to which the axis of log Bayes factors is linear
 
 
 def on_time_figure(
@@ -27,33 +32,23 @@ def on_time_figure(
     """
     names = [str(name) for name in probability.index[:MOST_CAUSES]][::-1]
     first = str(probability.index[0])
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    with styled_figure(9.6, 4.4) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
         colours = [GREY if name in ("none", "unknown") else POSTERIOR for name in names]
         left.barh(range(len(names)), [log_bayes_factor[name] for name in names], color=colours)
         left.set_yticks(range(len(names)), names)
-        left.set_xscale("symlog", linthresh=LINEAR_NATS)
-        label_powers(left.xaxis)
-        left.set_xlabel("log Bayes factor against none (nats)")
+        evidence_axis(left, far=True)
         top = float(points[["flight_s", "none_s", "first_s"]].to_numpy().max()) * 1.05
         right.plot([0.0, top], [0.0, top], color=INK, lw=0.7, label="as flown")
         for prefix, name, colour, marker in (
             ("none", "none (ideal)", VERDICT_COLOURS["conflict"], "x"),
             ("first", first, POSTERIOR, "o"),
         ):
-            right.errorbar(
-                points["flight_s"],
-                points[f"{prefix}_s"],
-                yerr=np.asarray(points[f"{prefix}_half_s"]),
-                fmt=marker,
-                ms=4.0,
-                lw=0.0,
-                elinewidth=0.9,
-                color=colour,
-                label=f"{name}, central 90 % prediction interval",
-            )
-        right.set_xlabel("flight on-time of a thruster (s)")
-        right.set_ylabel("predicted from the other events (s)")
-        figure.legend(*right.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+            look = {"ms": 4.0, "lw": 0.0, "elinewidth": 0.9, "color": colour}
+            x, y, half = (points[key] for key in ("flight_s", f"{prefix}_s", f"{prefix}_half_s"))
+            label = f"{name}, central 90 % prediction interval"
+            right.errorbar(x, y, yerr=np.asarray(half), fmt=marker, label=label, **look)
+        across, up = "flight on-time of a thruster (s)", "predicted from the other events (s)"
+        label_axes(right, across, up)
+        legend_below(figure, right, ncols=3)
     return figure

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -15,8 +14,17 @@ from cassini_bayes.diagnosis.nuisances import Trade
 from cassini_bayes.diagnosis.overlay import Channel, Overlay
 from cassini_bayes.diagnosis.spectrum import RARE, Spectrum
 from cassini_bayes.report.plots.criticism import EXTENDED
+from cassini_bayes.report.plots.panels import axis_panels
 from cassini_bayes.report.plots.powers import label_powers
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, PRIOR_LINE, STYLE
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    PRIOR,
+    PRIOR_LINE,
+    label_axes,
+    legend_below,
+    styled_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,8 +49,7 @@ def overlay_figure(overlay: Overlay) -> Figure:
     rates = [channel for channel in overlay.channels if channel.unit == "mrad/s"]
     wheels = [channel for channel in overlay.channels if channel.unit != "mrad/s"]
     columns = max(len(rates), len(wheels))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 8.6), layout="constrained")
+    with styled_figure(10.0, 8.6) as figure:
         panels = figure.subplots(
             4, columns, squeeze=False, sharex=True, gridspec_kw={"height_ratios": (3, 2, 3, 2)}
         )
@@ -56,10 +63,8 @@ def overlay_figure(overlay: Overlay) -> Figure:
                 spare.set_visible(False)
         for panel in panels[-1]:
             panel.set_xlabel("time since first row (s)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=len(labels), markerscale=4.0
-        )
+        entries = len(panels[0, 0].get_legend_handles_labels()[0])
+        legend_below(figure, panels[0, 0], ncols=entries, markerscale=4.0)
     return figure
 
 
@@ -72,14 +77,9 @@ def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
         time_s[at], channel.measured[at], ".", label="measured", zorder=depth, **MEASURED_DOTS
     )
     if channel.extended is not None and channel.cause is not None:
-        panel.fill_between(
-            time_s[at],
-            (channel.extended - channel.cause)[at],
-            channel.extended[at],
-            color=CAUSE,
-            lw=0,
-            label="the cause's part",
-        )
+        without, extended = (channel.extended - channel.cause)[at], channel.extended[at]
+        look: dict[str, Any] = {"color": CAUSE, "lw": 0, "label": "the cause's part"}
+        panel.fill_between(time_s[at], without, extended, **look)
     panel.plot(time_s[at], channel.baseline[at], label="baseline", **BASELINE_LINE)
     if channel.extended is not None:
         panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)
@@ -105,12 +105,12 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
     events = list(dict.fromkeys(spectrum.event for spectrum in spectra))
     if not events:
         return None
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(10.0, 1.9 * len(events) + 0.6), layout="constrained")
-        panels = figure.subplots(len(events), 3, squeeze=False, sharex=True, sharey="row")
-        for row, event in enumerate(events):
+    with styled_figure(10.0, 1.9 * len(events) + 0.6) as figure:
+        labels = ("frequency (Hz)", "power (1)")
+        panels = axis_panels(figure, events, *labels, sharex=True, sharey="row")
+        for row, event in zip(panels, events, strict=True):
             of_event = [spectrum for spectrum in spectra if spectrum.event == event]
-            for panel, spectrum in zip(panels[row], of_event, strict=True):
+            for panel, spectrum in zip(row, of_event, strict=True):
                 power = np.maximum(spectrum.power, 1e-3)
                 panel.loglog(spectrum.frequency_hz, power, lw=0.7, color=POSTERIOR)
                 panel.axhline(1.0, lw=0.6, color=INK)
@@ -118,27 +118,17 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
                 panel.axhline(level, lw=0.8, ls="--", color=PRIOR_LINE)
                 if spectrum.chance < RARE:
                     at = float(spectrum.frequency_hz[spectrum.peak])
-                    panel.annotate(
-                        f"{at:.3g} Hz",
-                        (at, power[spectrum.peak]),
-                        xytext=(4, 2),
-                        textcoords="offset points",
-                        fontsize=8,
-                        color=PRIOR_LINE,
-                    )
+                    beside = {"xytext": (4, 2), "textcoords": "offset points"}
+                    place, look = (at, power[spectrum.peak]), {"fontsize": 8, "color": PRIOR_LINE}
+                    panel.annotate(f"{at:.3g} Hz", place, **beside, **look)
                 label_powers(panel.xaxis)
                 label_powers(panel.yaxis)
-                panel.set_title(f"{event}, {spectrum.axis.upper()}", loc="left")
-            panels[row, 0].set_ylabel("power (1)")
-        for panel in panels[-1]:
-            panel.set_xlabel("frequency (Hz)")
     return figure
 
 
 def trade_figure(trade: Trade) -> Figure:
     """Corner of a cause's size and the free quantity it trades with most, priors drawn in."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(6.2, 5.6), layout="constrained")
+    with styled_figure(6.2, 5.6) as figure:
         panels = figure.subplots(2, 2)
         panels[0, 1].set_visible(False)
         ends = [_ends(trade, which) for which in range(2)]
@@ -161,9 +151,8 @@ def trade_figure(trade: Trade) -> Figure:
             across.plot(*_ellipse(trade.posterior, share), lw=1.1, color=POSTERIOR)
         across.set_xlim(*ends[0])
         across.set_ylim(*ends[1])
-        across.set_xlabel(f"{trade.cause}: {trade.size}")
         name = f"{trade.quantity} ({trade.unit})" if trade.unit else trade.quantity
-        across.set_ylabel(name)
+        label_axes(across, f"{trade.cause}: {trade.size}", name)
         panels[1, 1].set_xlabel(name)
         correlation = f"{trade.correlation:+.2f}".replace("-", "−")
         panels[0, 0].set_title(f"correlation {correlation}", loc="left")

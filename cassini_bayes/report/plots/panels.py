@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.style import (
-    event_axis,
-    new_figure,
-)
+from cassini_bayes.report.plots.style import event_axis, new_figure, symbols
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
 
 PANELS_ACROSS: Final = 4  # a page
 NARROWEST_IN: Final = 9.2  # title and legend need it
-LEGEND_COLUMN_IN: Final = 3.0  # inches for one entry
 THRUST_LABEL: Final = "thrust [N]"
 
 
@@ -36,16 +31,35 @@ def limits_of(*values: Array, room: float = 0.10) -> tuple[float, float]:
     return low - margin, high + margin
 
 
+def some_panels(figure: Figure, count: int, across: int, **shared: Any) -> list[Axes]:
+    """Panels in rows of so many; the last row may be shorter."""
+    made = figure.subplots(-(-count // across), across, squeeze=False, **shared).ravel()
+    for spare in made[count:]:
+        spare.remove()
+    return list(made[:count])
+
+
+def axis_panels(
+    figure: Figure, events: Sequence[str], across: str, up: str, **shared: Any
+) -> NDArray[np.object_]:
+    """A panel of every event about every body axis (E, 3), the outer ones with labels."""
+    panels: NDArray[np.object_] = figure.subplots(len(events), 3, squeeze=False, **shared)
+    for row, event in zip(panels, events, strict=True):
+        row[0].set_ylabel(up)
+        for panel, axis in zip(row, "XYZ", strict=True):
+            panel.set_title(f"{event}, {axis}", loc="left")
+    for panel in panels[-1]:
+        panel.set_xlabel(across)
+    return panels
+
+
 def thruster_panels(thrusters: Sequence[str], slots: int) -> tuple[Figure, list[Axes]]:
     """A figure with one panel per thruster, all on the same axes."""
     across = min(PANELS_ACROSS, len(thrusters))
     down = -(-len(thrusters) // across)
     width = float(np.clip(0.27 * slots + 0.45, 2.2, 5.0)) * across + 0.6
     figure = new_figure(max(width, NARROWEST_IN), 2.6 * down + 1.9)
-    made = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes in made[len(thrusters) :]:
-        axes.remove()
-    return figure, list(made[: len(thrusters)])
+    return figure, some_panels(figure, len(thrusters), across, sharex=True, sharey=True)
 
 
 def outer_labels(panels: Sequence[Axes]) -> None:
@@ -81,10 +95,4 @@ def bars(
     """Intervals as thick lines with a white symbol at the mean, beside each slot."""
     x = np.arange(len(mean)) + offset
     axes.vlines(x, low, high, color=colour, lw=width, zorder=4)
-    axes.plot(x, mean, ls="", marker=marker, ms=5.0, mfc="white", mec=colour, mew=1.1, zorder=5)
-
-
-def legend_below(figure: Figure, handles: Sequence[Line2D | Patch]) -> None:
-    """A legend under the panels, as many columns as fit."""
-    columns = int(figure.get_figwidth() / LEGEND_COLUMN_IN)
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, len(handles)))
+    symbols(axes, x, mean, marker, 5.0, colour, hollow=True, mew=1.1, zorder=5)

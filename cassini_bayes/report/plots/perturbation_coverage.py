@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from cassini_bayes.report.plots.style import INK, STYLE, new_figure
+from cassini_bayes.report.plots.style import INK, legend_below, line, styled_figure
 
 _COLOURS: Final = ("#CC6677", "#882255", "#999933", "#BB8800", "#4477AA", "#332288")
 _MARKERS: Final = ("s", "D", "^", "v", "o", "P")
@@ -28,8 +26,7 @@ def coverage_length_figure(table: pd.DataFrame, certain: str) -> Figure:
     readings, estimands, methods = (
         list(dict.fromkeys(table[name])) for name in ("reading", "estimand", "method")
     )
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(10.2, 3.0 * len(readings) + 0.9)
+    with styled_figure(10.2, 3.0 * len(readings) + 0.9) as figure:
         panels = figure.subplots(len(readings), len(estimands), squeeze=False, sharey=True)
         for row, reading in enumerate(readings):
             for column, estimand in enumerate(estimands):
@@ -41,11 +38,9 @@ def coverage_length_figure(table: pd.DataFrame, certain: str) -> Figure:
                     axes.set_ylabel("coverage [%]")
                 if row == len(readings) - 1:
                     axes.set_xlabel("mean length of the interval [mN]")
-        handles = [
-            Line2D([], [], ls="", marker=_MARKERS[i], color=_COLOURS[i], label=m)
-            for i, m in enumerate(methods)
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        looks = zip(_MARKERS, _COLOURS, methods, strict=False)
+        handles = [line(ls="", marker=m, color=c, label=method) for m, c, method in looks]
+        legend_below(figure, handles, ncols=3)
     return figure
 
 

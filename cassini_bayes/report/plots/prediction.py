@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,7 +15,15 @@ from cassini_bayes.prediction.leave_one_out import HeldOut, draws_by_kind, outco
 from cassini_bayes.prediction.navigation import TOLERANCE, Requirement
 from cassini_bayes.prediction.planning import Plan
 from cassini_bayes.prediction.predict import SOURCES, Prediction
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE, event_axis, new_figure
+from cassini_bayes.report.plots.style import (
+    INK,
+    POSTERIOR,
+    event_axis,
+    label_axes,
+    legend_below,
+    styled_figure,
+    symbols,
+)
 
 COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
     "gsw_ideal": ("ideal", "x", "#999933"),
@@ -24,6 +31,7 @@ COLUMN_STYLES: Final[Mapping[str, tuple[str, str, str]]] = {
     "fsds": ("FSDS", "^", "#117733"),
 }
 _SOURCE_COLOURS: Final = ("#4477AA", "#EECC66", "#994455", "#88CCEE", "#777777")
+PREDICTED: Final = ("predicted, central 90 %", "predicted, central 50 %", "predicted median")
 _SHOWN_S: Final = 3.0  # either side of no error; what lies beyond is drawn at the edge
 
 
@@ -39,8 +47,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
     known = {label: vector for label, vector in vectors.items() if vector is not None}
     grams = prediction.hydrazine_g
     rows = 2 if known or grams is not None else 1
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 2.8 * rows + 0.4 * (rows == 1))
+    with styled_figure(9.0, 2.8 * rows + 0.4 * (rows == 1)) as figure:
         grid = figure.subplots(rows, 2, squeeze=False)
         names = [name.replace("_", "–") for name in prediction.unit_names()]
         _intervals(grid[0, 0], prediction.unit_on_time_s(), names, "on-time [s]")
@@ -51,8 +58,7 @@ def prediction_figure(prediction: Prediction) -> Figure:
             grid[1, 0].set_visible(False)
         if grams is not None:
             grid[1, 1].hist(grams, bins=40, range=_shown(grams), density=True, color=POSTERIOR)
-            grid[1, 1].set_xlabel("hydrazine [g]")
-            grid[1, 1].set_ylabel("density [1/g]")
+            label_axes(grid[1, 1], "hydrazine [g]", "density [1/g]")
         elif rows == 2:
             grid[1, 1].set_visible(False)
         request = prediction.request
@@ -60,26 +66,29 @@ def prediction_figure(prediction: Prediction) -> Figure:
             f"wheel {n}: {a:g} → {b:g}"
             for n, a, b in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True)
         )
-        figure.suptitle(
-            f"{request.id}, {prediction.epoch.date()} — {changes} rev/min", fontsize=9.5
-        )
+        title = f"{request.id}, {prediction.epoch.date()} — {changes} rev/min"
+        figure.suptitle(title, fontsize=9.5)
         densities = "; densities: central 99 % of the draws" if rows == 2 else ""
-        figure.supxlabel(
-            f"dots: medians; thick and thin bars: central 50 and 90 % intervals{densities}",
-            fontsize=8,
-        )
+        bars = f"dots: medians; thick and thin bars: central 50 and 90 % intervals{densities}"
+        figure.supxlabel(bars, fontsize=8)
     return figure
 
 
 def _intervals(axes: Axes, draws: Array, names: Sequence[str], label: str) -> None:
-    low, q1, median, q3, high = np.quantile(draws, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
-    x = np.arange(len(names))
-    axes.vlines(x, low, high, color=POSTERIOR, lw=1.2)
-    axes.vlines(x, q1, q3, color=POSTERIOR, lw=4.0)
-    axes.plot(x, median, "o", color="white", mec=POSTERIOR, ms=4.5)
+    x = np.arange(len(names), dtype=np.float64)
+    _bars(axes, x, draws, ("", "", ""))
     axes.set_xticks(x, names)
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
+
+
+def _bars(axes: Axes, x: Array, draws: Array, labels: Sequence[str] = PREDICTED) -> None:
+    """Central 90 and 50 % intervals of draws (n, len(x)) as bars, their medians as dots."""
+    low, q1, median, q3, high = np.quantile(draws, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
+    wide, narrow, middle = labels
+    axes.vlines(x, low, high, color=POSTERIOR, lw=1.2, label=wide)
+    axes.vlines(x, q1, q3, color=POSTERIOR, lw=4.0, label=narrow)
+    axes.plot(x, median, "o", color="white", mec=POSTERIOR, ms=4.5, label=middle)
 
 
 def _shown(draws: Array) -> tuple[float, float]:
@@ -90,18 +99,11 @@ def _shown(draws: Array) -> tuple[float, float]:
 
 def _density(axes: Axes, vectors: Mapping[str, Array]) -> None:
     for (label, vector), colour in zip(vectors.items(), (POSTERIOR, "#BB8800"), strict=False):
-        axes.hist(
-            1e3 * vector[:, 2],
-            bins=40,
-            range=_shown(1e3 * vector[:, 2]),
-            density=True,
-            histtype="step",
-            color=colour,
-            lw=1.4,
-            label=label,
-        )
-    axes.set_xlabel("ΔV along body Z [mm/s]")
-    axes.set_ylabel("density [s/mm]")
+        along_z = 1e3 * vector[:, 2]
+        look: dict[str, Any] = {"color": colour, "lw": 1.4, "label": label}
+        shown = _shown(along_z)
+        axes.hist(along_z, bins=40, range=shown, density=True, histtype="step", **look)
+    label_axes(axes, "ΔV along body Z [mm/s]", "density [s/mm]")
     axes.legend(loc="best")
 
 
@@ -109,8 +111,7 @@ def leave_one_out_figure(
     folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]
 ) -> Figure:
     """On-times of every held-out event less flight: intervals, and the published columns."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(11.0, 6.4)
+    with styled_figure(11.0, 6.4) as figure:
         grid = figure.subplots(2, -(-len(folds) // 2), sharey=True, squeeze=False).ravel()
         for axes, held in zip(grid, folds, strict=False):
             _event_panel(axes, held, columns)
@@ -118,8 +119,7 @@ def leave_one_out_figure(
             axes.set_ylabel("on-time − flight [s]")
         for axes in grid[len(folds) :]:
             axes.set_visible(False)
-        handles, labels = grid[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=6)
+        legend_below(figure, grid[0], ncols=6)
     return figure
 
 
@@ -128,42 +128,40 @@ def _event_panel(axes: Axes, held: HeldOut, columns: Mapping[str, Sequence[Total
     first = [unit[0] for unit in prediction.units]
     flight = held.event.on_time_s[first]
     difference = prediction.unit_on_time_s() - flight
-    low, q1, median, q3, high = np.quantile(difference, [0.05, 0.25, 0.5, 0.75, 0.95], axis=0)
     x = np.arange(len(first), dtype=np.float64)
     axes.axhline(0.0, color=INK, lw=0.8)
-    axes.vlines(x - 0.15, low, high, color=POSTERIOR, lw=1.2, label="predicted, central 90 %")
-    axes.vlines(x - 0.15, q1, q3, color=POSTERIOR, lw=4.0, label="predicted, central 50 %")
-    axes.plot(x - 0.15, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
-    for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
-        printed = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
-        if printed is None:
-            continue
+    _bars(axes, x - 0.15, difference)
+    for i, (printed, label, marker, colour) in _printed(held, columns):
         off = printed.on_time_s[first] - flight
         at = x + 0.1 + 0.13 * i
         inside = np.abs(off) <= _SHOWN_S
-        axes.plot(at[inside], off[inside], marker, color=colour, ms=4.0, ls="", label=label)
+        symbols(axes, at[inside], off[inside], marker, 4.0, colour, label=label)
+        arrow = {"arrowstyle": "->", "color": colour, "lw": 0.8}
+        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6.5, "color": colour}
         for position, value in zip(at[~inside], off[~inside], strict=True):
             edge = np.copysign(_SHOWN_S, value)
-            axes.annotate(
-                f"{value:.1f}",
-                (position, edge),
-                xytext=(position, 0.82 * edge),
-                ha="center",
-                va="center",
-                fontsize=6.5,
-                color=colour,
-                arrowprops={"arrowstyle": "->", "color": colour, "lw": 0.8},
-            )
+            end, text = (position, edge), (position, 0.82 * edge)
+            axes.annotate(f"{value:.1f}", end, xytext=text, arrowprops=arrow, **look)
     names = [name.upper().replace("_", "–") for name in prediction.unit_names()]
     axes.set_xticks(x, names, rotation=30)
     axes.set_ylim(-1.05 * _SHOWN_S, 1.05 * _SHOWN_S)
     axes.set_title(held.event.id.removesuffix("-bias"))
 
 
+def _printed(
+    held: HeldOut, columns: Mapping[str, Sequence[TotalsEvent]]
+) -> Iterator[tuple[int, tuple[TotalsEvent, str, str, str]]]:
+    """Place, event, label, marker and colour of every published column that has the event."""
+    for i, (source, style) in enumerate(COLUMN_STYLES.items()):
+        for event in columns.get(source, ()):
+            if event.id == held.event.id:
+                yield i, (event, *style)
+                break
+
+
 def totals_figure(folds: Sequence[HeldOut], columns: Mapping[str, Sequence[TotalsEvent]]) -> Figure:
     """ΔVz and hydrazine of every held-out event less flight, with the published columns."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 4.0)
+    with styled_figure(9.0, 4.0) as figure:
         panels = figure.subplots(1, 2)
         names = [held.event.id.removesuffix("-bias") for held in folds]
         for axes, kind, label in (
@@ -177,7 +175,7 @@ def totals_figure(folds: Sequence[HeldOut], columns: Mapping[str, Sequence[Total
             axes.set_ylabel(label)
         handles, labels = panels[0].get_legend_handles_labels()
         unique = dict(zip(labels, handles, strict=True))
-        figure.legend(unique.values(), unique.keys(), loc="outside lower center", ncols=5)
+        legend_below(figure, list(unique.values()), ncols=5)
     return figure
 
 
@@ -191,36 +189,26 @@ def _totals_slot(
     low, median, high = np.quantile(draws[:, 0] - outcome[0], [0.05, 0.5, 0.95])
     axes.vlines(x - 0.2, low, high, color=POSTERIOR, lw=2.0, label="predicted, central 90 %")
     axes.plot(x - 0.2, median, "o", color="white", mec=POSTERIOR, ms=4.5, label="predicted median")
-    for i, (source, (label, marker, colour)) in enumerate(COLUMN_STYLES.items()):
-        printed = next((e for e in columns.get(source, ()) if e.id == held.event.id), None)
-        if printed is None:
-            continue
+    for i, (printed, label, marker, colour) in _printed(held, columns):
         value = outcome_by_kind(printed, held.prediction.units)[kind][0] - outcome[0]
-        axes.plot(x + 0.02 + 0.14 * i, value, marker, color=colour, ms=4.0, ls="", label=label)
+        symbols(axes, x + 0.02 + 0.14 * i, value, marker, 4.0, colour, label=label)
 
 
 def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
     """Spread of the predicted ΔVz per event, what is left without each source, and 1 %."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.0, 4.0)
+    with styled_figure(9.0, 4.0) as figure:
         axes = figure.subplots()
         names = [name.removesuffix("-bias") for name in judged]
         event_axis(axes, names)
         width = 0.14
         for i, source in enumerate(("all", *SOURCES)):
             heights = [
-                100.0
-                * (requirement.spread_m_s if source == "all" else requirement.without_m_s[source])
-                / abs(requirement.nominal_m_s)
-                for requirement in judged.values()
+                100.0 * {**own.without_m_s, "all": own.spread_m_s}[source] / abs(own.nominal_m_s)
+                for own in judged.values()
             ]
-            axes.bar(
-                np.arange(len(names)) + (i - 2.5) * width,
-                heights,
-                width,
-                color=(INK, *_SOURCE_COLOURS)[i],
-                label="all sources" if source == "all" else f"without: {source}",
-            )
+            x, colour = np.arange(len(names)) + (i - 2.5) * width, (INK, *_SOURCE_COLOURS)[i]
+            label = "all sources" if source == "all" else f"without: {source}"
+            axes.bar(x, heights, width, color=colour, label=label)
         axes.axhline(100.0 * TOLERANCE / 3.0, color="#b2182b", lw=1.2, label="required: 1 %")
         axes.set_ylabel("spread of ΔVz [% of nominal]")
         figure.legend(loc="outside lower center", ncols=4)
@@ -229,25 +217,21 @@ def requirement_figure(judged: Mapping[str, Requirement]) -> Figure:
 
 def plan_figure(found: Plan) -> Figure:
     """Expected information on the quantity against hydrazine, with the best trade-offs."""
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(6.4, 4.2)
+    with styled_figure(6.4, 4.2) as figure:
         axes = figure.subplots()
         grams = [c.cost for c in found.candidates]
         nats = [c.information_nats for c in found.candidates]
         axes.scatter(grams, nats, s=7, color="#9fb8d4", lw=0, label="candidate bias")
         front = found.front()
-        axes.plot(
-            [c.cost for c in front],
-            [c.information_nats for c in front],
-            "-o",
-            color=POSTERIOR,
-            ms=3.5,
-            lw=1.0,
-            label="best for its cost",
-        )
+        look: dict[str, Any] = {
+            "color": POSTERIOR,
+            "ms": 3.5,
+            "lw": 1.0,
+            "label": "best for its cost",
+        }
+        axes.plot([c.cost for c in front], [c.information_nats for c in front], "-o", **look)
         cost = "hydrazine [g]" if found.has_hydrazine else "on-time of all thrusters [s]"
-        axes.set_xlabel(f"expected {cost}")
-        axes.set_ylabel(f"expected information on {found.quantity} [nats]")
+        label_axes(axes, f"expected {cost}", f"expected information on {found.quantity} [nats]")
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="upper left")
     return figure

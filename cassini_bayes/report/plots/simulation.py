@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, PRIOR, styled_figure, symbols
 from cassini_bayes.simulation import SimulatedEvent
 
 LEAST_MOMENTUM_N_M_S = 1e-3
@@ -33,8 +33,7 @@ def motion_figure(event: SimulatedEvent) -> Figure:
     drawn as their drift, and momentum is what the event gained in the inertial frame, so that a
     flat line means conservation.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.5, 9.5), layout="constrained")
+    with styled_figure(7.5, 9.5) as figure:
         panels = figure.subplots(5, 1, sharex=True)
         motion = event.motion
         _small(panels[0], motion.time_s, motion.attitude_error_rad, ("attitude error", "rad"))
@@ -74,14 +73,12 @@ def _by_axis(axes: Axes, time: Array, values: Array, label: str) -> None:
 
 def _legend_above(axes: Axes) -> None:
     """A legend that hides no curve."""
-    axes.legend(
-        ncols=4,
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.96),
-        borderaxespad=0.0,
-        frameon=False,
-        fontsize=8,
-    )
+    above: dict[str, Any] = {
+        "loc": "lower right",
+        "bbox_to_anchor": (1.0, 0.96),
+        "borderaxespad": 0.0,
+    }
+    axes.legend(ncols=4, frameon=False, fontsize=8, **above)
 
 
 def _wheels(axes: Axes, event: SimulatedEvent) -> None:
@@ -89,13 +86,8 @@ def _wheels(axes: Axes, event: SimulatedEvent) -> None:
     quiet = event.plan.event.kind == "quiescent"
     speeds = motion.wheels_rpm - (motion.wheels_rpm[0] if quiet else 0.0)
     for j, number in enumerate(event.plan.wheel_numbers):
-        axes.plot(
-            motion.time_s,
-            speeds[:, j],
-            color=AXIS_COLOURS[j % 3],
-            ls=("-", "--", ":")[j % 3],
-            label=f"wheel {number}",
-        )
+        look: dict[str, Any] = {"color": AXIS_COLOURS[j % 3], "ls": ("-", "--", ":")[j % 3]}
+        axes.plot(motion.time_s, speeds[:, j], label=f"wheel {number}", **look)
     axes.set_ylabel("wheel speed,\ndrift [rpm]" if quiet else "wheel speed [rpm]")
     _legend_above(axes)
 
@@ -104,16 +96,10 @@ def _firings(axes: Axes, event: SimulatedEvent) -> None:
     """Every pulse as a mark at its start (shorter below 125 ms), and a bar as long as it lasts."""
     names = [name.upper() for name in event.motion.pulses]
     for row, log in enumerate(event.motion.pulses.values()):
-        axes.vlines(
-            log.start_s,
-            row + 0.4,
-            row + 0.4 - 6.4 * np.minimum(log.width_s, 0.125),
-            color=INK,
-            lw=0.7,
-        )
-        axes.hlines(
-            np.full(log.start_s.shape, row), log.start_s, log.start_s + log.width_s, INK, lw=3
-        )
+        top = row + 0.4 - 6.4 * np.minimum(log.width_s, 0.125)
+        axes.vlines(log.start_s, row + 0.4, top, color=INK, lw=0.7)
+        rows = np.full(log.start_s.shape, row)
+        axes.hlines(rows, log.start_s, log.start_s + log.width_s, INK, lw=3)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_ylabel("firings")
@@ -135,32 +121,17 @@ def comparison_figure(events: Sequence[OnTimePanel], units: Sequence[str]) -> Fi
     """On-times of every event and unit: simulated (mean ± sd over seeds) and the printed columns,
     as differences to flight.
     """
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(7.5, 8.0), layout="constrained")
+    with styled_figure(7.5, 8.0) as figure:
         panels = figure.subplots((len(events) + 1) // 2, 2, sharex=True).ravel()
         place = np.arange(len(units))
         for axes, shown in zip(panels, events, strict=False):
             axes.axhline(0.0, color=PRIOR, lw=0.8)
             for i, (column, difference) in enumerate(shown.printed.items()):
                 colour, marker = _COLUMN_STYLE[column]
-                axes.plot(
-                    place + 0.15 * (i - 1.5),
-                    difference,
-                    marker,
-                    color=colour,
-                    ms=4,
-                    label=_LABELS.get(column, column),
-                )
-            axes.errorbar(
-                place + 0.25,
-                shown.mean,
-                shown.spread,
-                fmt="o",
-                color=POSTERIOR,
-                ms=4,
-                lw=1.2,
-                label="this simulation",
-            )
+                at, label = place + 0.15 * (i - 1.5), _LABELS.get(column, column)
+                symbols(axes, at, difference, marker, 4, colour, label=label)
+            look = {"fmt": "o", "color": POSTERIOR, "ms": 4, "lw": 1.2, "label": "this simulation"}
+            axes.errorbar(place + 0.25, shown.mean, shown.spread, **look)
             axes.set_title(shown.event)
             axes.set_xticks(place, [unit.replace("_", "–").upper() for unit in units])
             axes.set_ylim(-6.5, 4.5)

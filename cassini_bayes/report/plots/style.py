@@ -5,16 +5,20 @@ matplotlib is imported when a figure is made, not before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
+
+    Handle = Line2D | Patch
 
 STYLE: Final[Mapping[Any, object]] = MappingProxyType(
     {
@@ -59,6 +63,7 @@ BLOCK_FILLS: Final = (
     ("#EE99AA", "\\\\"), ("#332288", ""), ("#DDDDAA", "xx"), ("#AA4499", ""), ("#99DDCC", "++"),
 )  # fmt: skip
 
+LEGEND_COLUMN_IN: Final = 3.0  # inches for one entry
 INK: Final = "#222222"
 PRIOR: Final = "#b9b9b9"
 PRIOR_LINE: Final = "#8a4b08"
@@ -98,9 +103,56 @@ def new_figure(width_in: float, height_in: float, *, by_hand: bool = False) -> F
     return Figure(figsize=(width_in, height_in), layout=None if by_hand else "constrained")
 
 
+@contextmanager
+def styled_figure(width_in: float, height_in: float) -> Iterator[Figure]:
+    """An empty figure to be drawn on in the house style."""
+    import matplotlib
+
+    with matplotlib.rc_context(dict(STYLE)):
+        yield new_figure(width_in, height_in)
+
+
 def headline(figure: Figure, text: str, **place: Any) -> None:
     """The title of a whole figure."""
     figure.suptitle(text, fontsize=11.5, fontweight="bold", color=INK, **place)
+
+
+def label_axes(axes: Axes, across: str, up: str, title: str = "") -> None:
+    """What stands along both axes, and a title at the left."""
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    axes.set_title(title, loc="left")
+
+
+def legend_below(
+    figure: Figure, entries: Sequence[Artist] | Axes, ncols: int | None = None, **look: Any
+) -> None:
+    """A legend under the panels, of entries or of what an axes shows; as many columns as fit."""
+    handles, labels = (
+        (entries, [str(entry.get_label()) for entry in entries])
+        if isinstance(entries, Sequence)
+        else entries.get_legend_handles_labels()
+    )
+    columns = ncols or min(int(figure.get_figwidth() / LEGEND_COLUMN_IN), len(handles))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, **look)
+
+
+def symbols(
+    axes: Axes, x: Any, y: Any, marker: str, size: float, colour: str, *, hollow: bool = False,
+    **look: Any,
+) -> None:  # fmt: skip
+    """Symbols without a line, filled or white inside."""
+    axes.plot(x, y, **_symbol(marker, size, colour, hollow), **look)
+
+
+def symbol(marker: str, size: float, colour: str, label: str, *, hollow: bool = False) -> Line2D:
+    """A symbol for a legend."""
+    return line(**_symbol(marker, size, colour, hollow), label=label)
+
+
+def _symbol(marker: str, size: float, colour: str, hollow: bool) -> dict[str, Any]:
+    inside = {"mfc": "white"} if hollow else {}
+    return {"ls": "", "marker": marker, "ms": size, "color": colour, **inside}
 
 
 def line(**look: Any) -> Line2D:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -14,11 +13,11 @@ from matplotlib.lines import Line2D
 from scipy.stats import gaussian_kde
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.report.plots.panels import PANELS_ACROSS, some_panels
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
-from cassini_bayes.report.plots.style import INK, STYLE, new_figure
+from cassini_bayes.report.plots.style import INK, legend_below, styled_figure, symbol
 
 KNOBS_SHOWN: Final = 16  # rows of a tornado on one page
-PANELS_ACROSS: Final = 4  # a page
 _GRID: Final = 300  # points of a curve
 _TALLEST: Final = 4.0  # peaks above this many times the baseline's are cut
 _FARTHEST: Final = 1.5  # and tails this many of the baseline's ranges beyond it
@@ -38,8 +37,7 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
     """
     rows = table[(table["quantity"] == quantity) & table["reported"] & (table["kind"] != "without")]
     knobs = _knobs(rows)
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(9.6, 1.9 + 0.27 * len(knobs))
+    with styled_figure(9.6, 1.9 + 0.27 * len(knobs)) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.35, 1.0))
         for axes, value, error, neutral in (
             (left, "shift_sd", "shift_error", 0.0),
@@ -54,7 +52,7 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
         left.set_xlabel("shift of the mean [posterior standard deviations]")
         right.set_xlabel("ratio of standard deviations")
         figure.suptitle(quantity, fontweight="bold", x=0.01, ha="left")
-        figure.legend(handles=_tornado_legend(rows), loc="outside lower center", ncols=5)
+        legend_below(figure, _tornado_legend(rows), ncols=5)
     return figure
 
 
@@ -107,25 +105,17 @@ def _tornado_legend(rows: pd.DataFrame) -> list[Line2D]:
     widths = list(dict.fromkeys(rows[rows["kind"] == "width"]["change"]))
     families = list(dict.fromkeys(rows[rows["kind"] == "family"]["change"]))
 
-    def handle(marker: str, size: float, colour: str, label: str, face: str | None) -> Line2D:
-        return Line2D([], [], ls="", marker=marker, ms=size, color=colour, mfc=face, label=label)
-
-    result = [
-        handle("o", _SIZES[min(i, 3)], _KIND_COLOURS["width"], label, _KIND_COLOURS["width"])
-        for i, label in enumerate(widths)
-    ]
-    shift = _KIND_COLOURS["shift"]
+    known = [("width", label, label) for label in widths]
     if (rows["kind"] == "shift").any():
-        result += [
-            handle("<", 6.0, shift, "centre moved down", shift),
-            handle(">", 6.0, shift, "centre moved up", shift),
-        ]
-    family = _KIND_COLOURS["family"]
-    result += [handle(_FAMILY_MARKERS.get(f, "o"), 5.0, family, f, family) for f in families]
+        known += [("shift", "-", "centre moved down"), ("shift", "+", "centre moved up")]
+    known += [("family", label, label) for label in families]
     return [
-        *result,
-        handle("o", 5.0, INK, "weighted draws", INK),
-        handle("o", 5.0, INK, "fitted anew", "white"),
+        *(
+            symbol(*_symbol(kind, change, i), _KIND_COLOURS[kind], label)
+            for i, (kind, change, label) in enumerate(known)
+        ),
+        symbol("o", 5.0, INK, "weighted draws"),
+        symbol("o", 5.0, INK, "fitted anew", hollow=True),
     ]
 
 
@@ -146,18 +136,15 @@ def overlay_figure(
     across = min(PANELS_ACROSS, len(groups))
     down = -(-len(groups) // across)
     grid = _overlay_grid(base, [cell[3] for cell in shown])
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(2.9 * across + 0.2, 2.45 * down + 0.5)
-        panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
-        for axes, group in zip(panels, groups, strict=False):
+    with styled_figure(2.9 * across + 0.2, 2.45 * down + 0.5) as figure:
+        panels = some_panels(figure, len(groups), across, sharex=True, sharey=True)
+        for axes, group in zip(panels, groups, strict=True):
             cells_of_group = [cell for cell in shown if cell[0] == group]
             _overlay_panel(axes, group, base, cells_of_group, grid, scale)
-        for axes in panels[len(groups) :]:
-            axes.remove()
         tallest = max(float(_density(cell[3], grid).max()) for cell in shown)
         own_peak = float(_density(base, grid).max())
         panels[0].set_ylim(0.0, 1.05 * min(max(tallest, 1.8 * own_peak), _TALLEST * own_peak))
-        for i, axes in enumerate(panels[: len(groups)]):
+        for i, axes in enumerate(panels):
             if i + across >= len(groups):
                 axes.tick_params(axis="x", labelbottom=True)
                 axes.set_xlabel(f"[{scale.unit}]")
@@ -226,8 +213,7 @@ def worth_figure(knowledge: pd.DataFrame, worth: pd.DataFrame) -> Figure | None:
     if not worth.empty:
         parts.append(("left out", 100.0 * (_grid(worth, "event", quantities) - 1.0)))
     rows = sum(len(part) for _, part in parts)
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = new_figure(max(7.0, 2.6 + 0.62 * len(quantities)), 1.9 + 0.27 * rows)
+    with styled_figure(max(7.0, 2.6 + 0.62 * len(quantities)), 1.9 + 0.27 * rows) as figure:
         panels = figure.subplots(
             len(parts), 1, squeeze=False, sharex=True, height_ratios=[len(p) for _, p in parts]
         ).ravel()

@@ -87,10 +87,14 @@ def flat_draws(dataset: xr.Dataset, name: str) -> Array:
     return np.asarray(values.reshape(-1, *values.shape[2:]), dtype=float)
 
 
+def both_draws(review: Review, name: str) -> tuple[Array, Array]:
+    """Draws of a variable from the posterior and from the prior."""
+    return flat_draws(review.fit.posterior, name), flat_draws(review.fit.prior, name)
+
+
 def level_columns(review: Review) -> list[Column]:
     """Thrust level of every thruster."""
-    posterior = flat_draws(review.fit.posterior, "thrust_level_n")
-    prior = flat_draws(review.fit.prior, "thrust_level_n")
+    posterior, prior = both_draws(review, "thrust_level_n")
     return [
         Column(f"{name} level", "N", posterior[:, k], prior[:, k])
         for k, name in enumerate(thrusters_of(review))
@@ -102,8 +106,7 @@ def common_column(review: Review) -> Column | None:
     name = "thrust_common_n"
     if name not in review.fit.posterior:
         return None
-    posterior, prior = (flat_draws(d, name) for d in (review.fit.posterior, review.fit.prior))
-    return Column("common thrust", "N", posterior, prior)
+    return Column("common thrust", "N", *both_draws(review, name))
 
 
 def nuisance_column(review: Review, name: str) -> Column | None:
@@ -115,9 +118,8 @@ def nuisance_column(review: Review, name: str) -> Column | None:
     if rows.empty:
         return None
     unit = str(rows["unit"].iloc[0])
-    posterior, prior = review.fit.posterior, review.fit.prior
-    if name in posterior:
-        after, before = flat_draws(posterior, name), flat_draws(prior, name)
+    if name in review.fit.posterior:
+        after, before = both_draws(review, name)
         if after.ndim > 1:  # of some events: the walked parameter is the same in all of them
             own = int(np.flatnonzero(np.isfinite(after[0]))[-1])
             after, before = after[:, own], before[:, own]
@@ -125,8 +127,7 @@ def nuisance_column(review: Review, name: str) -> Column | None:
         place = _wheel_place(review, name)
         if place is None:
             return None
-        after = flat_draws(posterior, _WHEEL_INERTIA)[:, place]
-        before = flat_draws(prior, _WHEEL_INERTIA)[:, place]
+        after, before = (draws[:, place] for draws in both_draws(review, _WHEEL_INERTIA))
     scale = parameter_scale(review, name)
     return Column(short_name(name, unit), scale.unit, after * scale.factor, before * scale.factor)
 

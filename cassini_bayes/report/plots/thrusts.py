@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.panels import (
-    bars,
-    finish,
-    legend_below,
-    limits_of,
-    outer_labels,
-    thruster_panels,
-)
+from cassini_bayes.report.plots.panels import bars, finish, limits_of, outer_labels, thruster_panels
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT, short_events
 from cassini_bayes.report.plots.style import (
     BASELINE,
     INK,
     PRIOR,
     headline,
+    legend_below,
     line,
     patch,
+    symbol,
+    symbols,
     thruster_styles,
 )
 from cassini_bayes.report.plots.tables import (
@@ -34,14 +30,15 @@ from cassini_bayes.report.plots.tables import (
     thrust_grid,
     thrusters_of,
 )
+from cassini_bayes.results.baselines import MEAN, PER_EVENT, POOLED
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
+
+    from cassini_bayes.report.plots.style import Handle
 
 
 ALL_EVENTS: Final = "all events"
@@ -60,10 +57,8 @@ class BaselineStyle:
 
 # The two methods of the papers; a pooled estimate stands in the column of all events.
 BASELINES: Final = (
-    BaselineStyle(
-        "pseudo-inverse, per event", "pseudo-inverse, pooled", "pseudo-inverse", "D", 0.05
-    ),
-    BaselineStyle("mean of all thrusters, per event", None, "mean of all thrusters", "s", 0.34),
+    BaselineStyle(PER_EVENT, POOLED, "pseudo-inverse", "D", 0.05),
+    BaselineStyle(MEAN, None, "mean of all thrusters", "s", 0.34),
 )
 
 
@@ -90,16 +85,8 @@ def thrust_figure(review: Review) -> Figure:
         _printed_line(axes, printed)
         for look in BASELINES:
             _baseline(axes, review, look, name, limits)
-        bars(
-            axes,
-            mean[:, k],
-            low[:, k],
-            high[:, k],
-            style.colour,
-            style.marker,
-            offset=-0.27,
-            width=5,
-        )
+        of_thruster = (mean[:, k], low[:, k], high[:, k])
+        bars(axes, *of_thruster, style.colour, style.marker, offset=-0.27, width=5)
         axes.axvline(len(events) - 0.5, color="#777777", lw=0.8, zorder=1)
         finish(axes, name, labels, limits)
     outer_labels(panels)
@@ -167,17 +154,12 @@ def _baseline(
             continue
         if np.isfinite(bar):
             axes.vlines(x, estimate - bar, estimate + bar, color=BASELINE, lw=0.9, zorder=3)
-        axes.plot(
-            [x],
-            [estimate],
-            ls="",
-            marker=look.marker,
-            ms=3.8,
-            mfc=BASELINE if row["valid"] else "white",
-            mec=BASELINE,
-            mew=0.8,
-            zorder=3.5,
-        )
+        _estimate(axes, x, estimate, look.marker, 3.8, valid=bool(row["valid"]))
+
+
+def _estimate(axes: Axes, x: float, y: float, marker: str, size: float, *, valid: bool) -> None:
+    """A symbol of a replaced method, hollow where the papers call the estimate not valid."""
+    symbols(axes, [x], [y], marker, size, BASELINE, hollow=not valid, mew=0.8, zorder=3.5)
 
 
 def _baseline_rows(
@@ -203,65 +185,30 @@ def _caret(axes: Axes, x: float, value: float, limits: tuple[float, float], *, v
     above = value > limits[1]
     room = 0.035 * (limits[1] - limits[0])
     y = limits[1] - room if above else limits[0] + room
-    axes.plot(
-        [x],
-        [y],
-        ls="",
-        marker="^" if above else "v",
-        ms=3.6,
-        mfc=BASELINE if valid else "white",
-        mec=BASELINE,
-        mew=0.8,
-        zorder=3.5,
-    )
-    axes.annotate(
-        f"{value:.2f}".replace("-", "−"),
-        (x, y),
-        xytext=(0, -4 if above else 4),
-        textcoords="offset points",
-        ha="center",
-        va="top" if above else "bottom",
-        rotation=90,
-        fontsize=5.8,
-        color=BASELINE,
-        zorder=3.5,
-    )
+    _estimate(axes, x, y, "^" if above else "v", 3.6, valid=valid)
+    shift, side = (-4, "top") if above else (4, "bottom")
+    beside: dict[str, Any] = {"xytext": (0, shift), "textcoords": "offset points", "va": side}
+    look: dict[str, Any] = {"fontsize": 5.8, "color": BASELINE, "zorder": 3.5}
+    text = f"{value:.2f}".replace("-", "−")
+    axes.annotate(text, (x, y), ha="center", rotation=90, **beside, **look)
 
 
-def _thrust_legend(review: Review, printed: Array) -> list[Line2D | Patch]:
-    handles: list[Line2D | Patch] = [
-        line(
-            color="#332288",
-            marker="o",
-            lw=5,
-            ms=5,
-            mfc="white",
-            label=f"posterior, {INTERVAL_SHORT}",
-        ),
+def _thrust_legend(review: Review, printed: Array) -> list[Handle]:
+    posterior = {"color": "#332288", "marker": "o", "lw": 5, "ms": 5, "mfc": "white"}
+    handles: list[Handle] = [
+        line(**posterior, label=f"posterior, {INTERVAL_SHORT}"),
         patch(facecolor="#e9e9e9", edgecolor=PRIOR, label=f"prior, {INTERVAL_SHORT}"),
     ]
     if np.isfinite(printed).any():
         handles.append(line(color=INK, lw=1.1, ls=(0, (3, 1.5)), label="printed with the event"))
     if not review.baseline.empty:
+        bars_of = {look.marker: f"{look.label} ± perturbations (rss)" for look in BASELINES}
         handles += [
-            line(
-                color=BASELINE,
-                marker=look.marker,
-                lw=0.9,
-                ms=4.5,
-                label=f"{look.label} ± perturbations (rss)",
-            )
-            for look in BASELINES
+            line(color=BASELINE, marker=marker, lw=0.9, ms=4.5, label=label)
+            for marker, label in bars_of.items()
         ]
         handles += [
-            line(
-                color=BASELINE,
-                marker="D",
-                lw=0,
-                ms=4.5,
-                mfc="white",
-                label="hollow: on-time < 5 s, not valid",
-            ),
-            line(color=BASELINE, marker="^", lw=0, ms=4.5, label="beyond the axes: value printed"),
+            symbol("D", 4.5, BASELINE, "hollow: on-time < 5 s, not valid", hollow=True),
+            symbol("^", 4.5, BASELINE, "beyond the axes: value printed"),
         ]
     return handles

@@ -12,17 +12,20 @@ from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
     headline,
+    legend_below,
     line,
     new_figure,
     patch,
+    symbol,
+    symbols,
 )
 from cassini_bayes.results.time_series import EventSeries
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
+
+    from cassini_bayes.report.plots.style import Handle
 
 BAND: Final = "#dcdcdc"
 MEASURED: Final = "#b5651d"
@@ -46,7 +49,7 @@ def series_figure(series: EventSeries) -> Figure:
     panels[1, 0].set_ylabel("measured − predicted [N m s]")
     thinned = f", every {_ordinal(series.every)} row" if series.every > 1 else ""
     headline(figure, f"{series.event} ({series.kind}): angular momentum balance{thinned}")
-    figure.legend(handles=_legend(), loc="outside lower center", ncols=4)
+    legend_below(figure, _legend(), ncols=4)
     return figure
 
 
@@ -77,12 +80,12 @@ def _residual(axes: Axes, series: EventSeries, axis: int) -> None:
 
 def _dots(axes: Axes, time: Array, values: Array, size: float, colour: str) -> None:
     """Rows as dots: a picture within the SVG, which thousands of marks would make heavy."""
-    axes.plot(time, values, ls="", marker=".", ms=size, color=colour, rasterized=True, zorder=2)
+    symbols(axes, time, values, ".", size, colour, rasterized=True, zorder=2)
 
 
-def _legend() -> list[Line2D | Patch]:
+def _legend() -> list[Handle]:
     return [
-        line(ls="", marker=".", ms=6, color=MEASURED, label="measured"),
+        symbol(".", 6, MEASURED, "measured"),
         line(color=POSTERIOR, lw=1.4, label="predicted, posterior mean"),
         patch(facecolor=POSTERIOR, alpha=0.2, label="prediction, 90 % interval"),
         patch(facecolor=BAND, label="noise of a row, 90 % interval"),

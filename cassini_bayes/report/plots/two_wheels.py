@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from cassini_bayes.report.plots.style import INK, POSTERIOR, STYLE
+from cassini_bayes.report.plots.style import INK, POSTERIOR, label_axes, styled_figure
 
 PANELS: Final = (("articulation", 1e3, "platform off by, mrad"), ("leak", 1e6, "leak, µN"))
 _WRONG: Final = "#CC6677"
@@ -22,8 +21,7 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
     marker is a trial in which another cause was first.
     """
     events = list(dict.fromkeys(table["event"]))
-    with matplotlib.rc_context(dict(STYLE)):
-        figure = Figure(figsize=(8.0, 4.0 * len(events)), layout="constrained")
+    with styled_figure(8.0, 4.0 * len(events)) as figure:
         grid = figure.subplots(len(events), len(PANELS), squeeze=False)
         for line, event in zip(grid, events, strict=True):
             for axes, (stratum, factor, label) in zip(line, PANELS, strict=True):
@@ -31,19 +29,12 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
                 rows = rows[np.isfinite(rows["size"].astype(float))]
                 for hit, colour, marker in ((True, POSTERIOR, "o"), (False, _WRONG, "D")):
                     part = rows[rows["named"] == hit]
-                    axes.errorbar(
-                        factor * part["size"],
-                        factor * part["found"],
-                        yerr=factor * part["found_sd"],
-                        fmt=marker,
-                        ms=4,
-                        mfc=colour if hit else "white",
-                        color=colour,
-                        label="named" if hit else "another cause first",
-                    )
+                    look = {"ms": 4, "mfc": colour if hit else "white", "color": colour}
+                    x, y, bar = (factor * part[name] for name in ("size", "found", "found_sd"))
+                    name = "named" if hit else "another cause first"
+                    axes.errorbar(x, y, yerr=bar, fmt=marker, label=name, **look)
                 axes.axline((0.0, 0.0), slope=1.0, lw=0.8, color=INK, zorder=0)
-                axes.set_xlabel(f"hidden: {label}")
-                axes.set_ylabel("found, given the cause")
-                axes.set_title(f"{event}, {len(rows)} trials", loc="left")
+                title = f"{event}, {len(rows)} trials"
+                label_axes(axes, f"hidden: {label}", "found, given the cause", title)
         grid[0, 0].legend()
     return figure
