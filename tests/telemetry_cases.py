@@ -640,11 +640,11 @@ def reference_noise(term: TelemetryTerm) -> dict[str, float]:
     return dict(term.event.sampling.reference_noise)
 
 
-def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: bool = True) -> float:
-    """Log density of rates, wheels and turns of slews as one normal.
+def joint_of_slews(model: Model, parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Log densities of rates, wheels and turns of slews as one normal.
 
     The noise of measured wheels and the torque noise are in the balance of rows and, summed up, in
-    that of turns; unless they are ``shared`` both have some of their own.
+    that of turns. In the second density, a wrong one, both have some of their own.
     """
     (term,) = model.telemetry
     values = dict(model.idle) | dict(parameters)
@@ -653,6 +653,9 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     turns = plain_turns(rows, term.event.sampling)
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
     n, contrasts, summed = len(rows.times), len(turns.of_rates), turns.of_rows
+    walk = plain_walk(samples, rows, term, MODES)
+    walk = np.concatenate([walk, np.kron(summed, np.eye(3)) @ walk])
+    walked = walk @ walk.T
 
     def noise_at(at: Mapping[str, float]) -> Array:
         """Covariance of rows and turns, with the physics and noise levels of some values."""
@@ -662,23 +665,18 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
         by_attitude = at["attitude_noise_rad"] ** 2 * inertia @ inertia
         by_wheels = (at["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
         of_row = by_rate + by_wheels + at["attitude_noise_rad"] ** 2 * spin
-        walk = at["torque_noise_n_m_s05"] * plain_walk(samples, rows, term, MODES)
-        of_rows = np.kron(np.eye(n), of_row) + walk @ walk.T
-        integrated = np.kron(summed, np.eye(3)) @ walk
-        between = np.kron(summed, by_wheels) + integrated @ walk.T
+        of_rows, between = np.kron(np.eye(n), of_row), np.kron(summed, by_wheels)
         of_turns = np.kron(summed @ summed.T, by_wheels) + np.kron(np.eye(contrasts), by_attitude)
-        of_turns += integrated @ integrated.T
-        between *= float(shared)
-        return np.block([[of_rows, between.T], [between, of_turns]])
+        noise = np.block([[of_rows, between.T], [between, of_turns]])
+        return np.asarray(noise + at["torque_noise_n_m_s05"] ** 2 * walked)
 
-    def measure_at(at: Mapping[str, float]) -> float:
-        """Log of the measure in which the motion is flat, but for its unit."""
-        noise = noise_at(dict(at) | reference_noise(term))
-        constant = np.kron(np.ones((n, 1)) / np.sqrt(n), np.eye(3))
-        left = constant.T @ np.linalg.solve(noise[: 3 * n, : 3 * n], constant)
-        return 0.5 * float(np.linalg.slogdet(noise)[1] + np.linalg.slogdet(left)[1])
+    def apart(noise: Array) -> Array:
+        """Without what rows and turns share."""
+        own = noise.copy()
+        own[: 3 * n, 3 * n :] = own[3 * n :, : 3 * n] = 0.0
+        return own
 
-    inertia, noise, means = inertia_tensor(values), noise_at(values), nominal_of(model)
+    inertia, means = inertia_tensor(values), nominal_of(model)
     weights = wheel_weights(model.spacecraft, values)
     own, _, mean = _unknowns(model, term, samples, rows, np.zeros((3, 0)), (0.0,) * 3, 0.0)
     unknown = np.array(own).T
@@ -686,14 +684,28 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float], *, shared: boo
     delivered = np.array(rows.wheels) @ weights.T - mean
     residual = np.array(rows.rates) @ inertia + delivered
     turned = turns.of_rates @ inertia + summed @ delivered
-    dense = noise + unknown @ unknown.T
-    lower = np.linalg.cholesky(dense)
-    white = solve_triangular(lower, np.concatenate([residual, turned]).reshape(-1), lower=True)
-    log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
-    measure = measure_at(values) - measure_at(means)
-    measure += (n - 1 + contrasts) * np.linalg.slogdet(inertia_tensor(means))[1]
+    left = np.concatenate([residual, turned]).reshape(-1)
+    constant = np.kron(np.ones((n, 1)) / np.sqrt(n), np.eye(3))
     channels = 2 * n + contrasts  # three wheels and three rates of a row
-    return float(log_density + measure - 1.5 * channels * np.log(2.0 * np.pi))
+    # the measure in which the motion is flat, but for its unit, is that of the noise levels
+    # when the event was reduced
+    noises = (
+        noise_at(values),
+        *(noise_at(dict(at) | reference_noise(term)) for at in (values, means)),
+    )
+    found = []
+    for noise, *measures in (noises, tuple(map(apart, noises))):
+        lower = np.linalg.cholesky(noise + unknown @ unknown.T)
+        white = solve_triangular(lower, left, lower=True)
+        log_density = -0.5 * white @ white - np.log(np.diagonal(lower)).sum()
+        logs = []
+        for each in measures:
+            of_constant = constant.T @ np.linalg.solve(each[: 3 * n, : 3 * n], constant)
+            logs.append(np.linalg.slogdet(each)[1] + np.linalg.slogdet(of_constant)[1])
+        measure = 0.5 * (logs[0] - logs[1])
+        measure += (n - 1 + contrasts) * np.linalg.slogdet(inertia_tensor(means))[1]
+        found.append(float(log_density + measure - 1.5 * channels * np.log(2.0 * np.pi)))
+    return found[0], found[1]
 
 
 def _unknowns(

@@ -29,16 +29,18 @@ settings = {
 }
 gain = False""",
 }
-# Run before a notebook that stores no findings: fewer draws, made and kept, and a few of the
-# causes. That all of them are weighed on the same recording, and the right one is named, is what
-# the tutorial shows.
+# Run before a notebook that stores no findings: garbage is collected as rarely as by the command
+# line, fewer draws are made and kept, and a few of the causes weighed. That all of them are weighed
+# on the same recording, and the right one is named, is what the tutorial shows.
 LESS = """
+import gc
 from dataclasses import replace
 
 from cassini_bayes.diagnosis import read
 from cassini_bayes.pipeline.fits import fit
 from cassini_bayes.sampling.warmstart import warm_start
 
+gc.set_threshold(100_000)
 warm_start.__kwdefaults__["draws"] = 1_000
 fit.__kwdefaults__ |= {"draws_per_ensemble": 500, "prior_draws": 500}
 

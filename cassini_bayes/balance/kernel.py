@@ -152,8 +152,9 @@ def normal_equations(
             pair = slice(i, min(i + 2, n))
             for p in range(pair.start, pair.stop):
                 used, own = weights[p], noise.wheels[p]
-                other[:] = noise.beside[p, 1 + f]
                 for c in range(3):
+                    for e in range(3):
+                        other[c, e] = noise.beside[p, 1 + f, c, e]
                     other[c, c] += noise.walk[p] * fast.walk[f]
                 if is_told:
                     _moments(fast.grams[f], entries.wheels, lacking[p], fast.rows[f], products)
@@ -195,11 +196,14 @@ def normal_equations(
                     log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
                     continue
                 start, count = turns.first[t], turns.first[t + 1] - turns.first[t]
-                covariance[:] = noise.turns[p, t]
+                for c in range(3):
+                    for e in range(3):
+                        covariance[c, e] = noise.turns[p, t, c, e]
                 _diagonalise(covariance, axes)
                 for e in range(3):
                     log_scale[p] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
-                    gain[e, :count] = 1.0 / covariance[e, e]
+                    for m in range(count):
+                        gain[e, m] = 1.0 / covariance[e, e]
                 _add_modes(
                     turns.projection, start, count, entries, used, axes, gain, on_modes, normal[p]
                 )
@@ -214,7 +218,9 @@ def normal_equations(
                 normal[i, before, k] = normal[i, k, before]
             is_fine = is_fine and np.isfinite(normal[i, k, k])
         if not is_fine:
-            normal[i] = 0.0
+            for k in range(width):
+                for before in range(width):
+                    normal[i, k, before] = 0.0
             log_scale[i] = -np.inf
     return normal, log_scale, kept
 

@@ -146,27 +146,11 @@ class Distribution:
 
     def mean(self) -> float:
         """Mean; inf or nan where the distribution has none."""
-        return self._moments()[0]
+        return _moments(self)[0]
 
     def sd(self) -> float:
         """Standard deviation; inf or nan where the distribution has none."""
-        return self._moments()[1]
-
-    def _moments(self) -> tuple[float, float]:
-        if isinstance(self._kernel, Normal):  # spaces of normals are made by the dozen
-            return self._kernel.loc, self._kernel.scale
-        frozen = _frozen(self.name, self.keywords)
-        mean, variance = (float(value) for value in frozen.stats(moments="mv"))
-        low, high = self.support
-        truncated = (low, high) != _support(self.name, self.keywords, None, None)
-        if not truncated or (not math.isfinite(variance) and not math.isfinite(high - low)):
-            return mean, math.sqrt(variance) if variance >= 0 else math.nan
-        # E[g(θ)] = ∫ g(F⁻¹(Φ(z))) φ(z) dz; the trapezoid rule converges very fast for it.
-        weights = np.exp(standard_normal_log_density(_MOMENT_GRID))
-        weights /= weights.sum()
-        values = self.quantile_of_standard(_MOMENT_GRID)
-        mean = float(weights @ values)
-        return mean, math.sqrt(float(weights @ (values - mean) ** 2))
+        return _moments(self)[1]
 
     def scaled(self, width: float = 1.0, shift: float = 0.0) -> Distribution:
         """A wider (``width`` > 1) and shifted variant with the same bounds, for sensitivity sweeps.
@@ -211,6 +195,24 @@ def standard_columns(
     pairs = zip(names, distributions, strict=True)
     columns = [distribution.standard_of(values[name]) for name, distribution in pairs]
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
+
+
+@lru_cache(maxsize=1_024)  # every model asks for those of all its priors, several times
+def _moments(own: Distribution) -> tuple[float, float]:
+    if own.is_normal:
+        return own.loc, own.scale
+    frozen = _frozen(own.name, own.keywords)
+    mean, variance = (float(value) for value in frozen.stats(moments="mv"))
+    low, high = own.support
+    truncated = (low, high) != _support(own.name, own.keywords, None, None)
+    if not truncated or (not math.isfinite(variance) and not math.isfinite(high - low)):
+        return mean, math.sqrt(variance) if variance >= 0 else math.nan
+    # E[g(θ)] = ∫ g(F⁻¹(Φ(z))) φ(z) dz; the trapezoid rule converges very fast for it.
+    weights = np.exp(standard_normal_log_density(_MOMENT_GRID))
+    weights /= weights.sum()
+    values = own.quantile_of_standard(_MOMENT_GRID)
+    mean = float(weights @ values)
+    return mean, math.sqrt(float(weights @ (values - mean) ** 2))
 
 
 def _frozen(name: str, keywords: Mapping[str, float]) -> Any:

@@ -237,7 +237,7 @@ def test_torque_noise_is_not_told_twice() -> None:
         for size in (2e-4, 7e-4):
             z = model.space.to_standard(values | {"torque_noise_n_m_s05": size})[None]
             found = values | {"torque_noise_n_m_s05": size}
-            exact, unlike = (joint_of_slews(model, found, shared=own) for own in (True, False))
+            exact, unlike = joint_of_slews(model, found)
             logs.append([float(log_likelihood(model, z)[0]), exact, unlike])
         likelihood, exact, unlike = np.diff(logs, axis=0)[0]
         apart.append(abs(likelihood - exact))

@@ -18,13 +18,44 @@ from cassini_bayes.files.netcdf import read_groups, sealed
 WHAT = "a fit.nc"
 
 
-def stored(folder: Path) -> Path:
+def stored(folder: Path, *, is_sealed: bool = False) -> Path:
     """A file with one group."""
     path = folder / "x.nc"
     data = xr.Dataset({"a": ("draw", np.arange(1000.0))}, attrs={"seed": 3})
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"title": "x"}), "/posterior": data})
     tree.to_netcdf(path, engine="h5netcdf")
+    if is_sealed:
+        path.write_bytes(sealed(path.read_bytes()))
     return path
+
+
+@pytest.mark.parametrize("kind", ["f8", "i4", "bool", "U9"])
+def test_what_is_sealed_is_read_as_xarray_reads_it(tmp_path: Path, kind: str) -> None:
+    """Values, kinds of numbers, coordinates and attributes; dimensions with and without names."""
+    values = (np.arange(6) % 4).astype(kind)
+    if kind == "f8":
+        values[3] = np.nan
+    data = xr.Dataset(
+        {
+            "a": (("draw", "event"), values.reshape(2, 3), {"units": "s", "long_name": "σ, or so"}),
+            "b": ((), values[1], {"empty": "", "number": 2.5, "numbers": [1, 2]}),
+        },
+        coords={"event": ["one", "two", "three"], "branch": ("event", ["A", "B", "B"])},
+        attrs={"seed": 3},
+    )
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={"title": "x", "p": 0.5}), "/g": data})
+    path = tmp_path / "x.nc"
+    tree.to_netcdf(path, engine="h5netcdf")
+    (plain, of_plain) = read_groups(path, {"g": ("a",)}, WHAT)
+    path.write_bytes(sealed(path.read_bytes()))
+    (found, of_found) = read_groups(path, {"g": ("a",)}, WHAT)
+    xr.testing.assert_identical(found["g"], plain["g"])
+    assert of_found == of_plain
+    for name, variable in plain["g"].variables.items():
+        own = found["g"].variables[name]
+        assert (own.dtype, own.dims) == (variable.dtype, variable.dims)
+        types = [{key: type(v) for key, v in each.attrs.items()} for each in (own, variable)]
+        assert types[0] == types[1]
 
 
 def test_groups_come_back(tmp_path: Path) -> None:
@@ -35,16 +66,17 @@ def test_groups_come_back(tmp_path: Path) -> None:
     assert attributes["title"] == "x"
 
 
+@pytest.mark.parametrize("is_sealed", [False, True])
 @pytest.mark.parametrize(
     ("needed", "said"),
     [({"prior": ()}, "prior"), ({"posterior": ("a", "b")}, "no b in group posterior")],
 )
 def test_a_missing_part_is_named(
-    tmp_path: Path, needed: dict[str, tuple[str, ...]], said: str
+    tmp_path: Path, needed: dict[str, tuple[str, ...]], said: str, is_sealed: bool
 ) -> None:
     """A group or a variable that is not there."""
     with pytest.raises(InputError, match=said):
-        read_groups(stored(tmp_path), needed, WHAT)
+        read_groups(stored(tmp_path, is_sealed=is_sealed), needed, WHAT)
 
 
 def test_a_group_of_any_size_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,8 +93,9 @@ def test_a_group_of_any_size_is_not_loaded(tmp_path: Path, monkeypatch: pytest.M
         read_groups(path, {"posterior": ()}, WHAT)
     # negative control: the limit decides
     monkeypatch.setattr(netcdf, "MOST_BYTES", 100)
-    with pytest.raises(InputError, match="declares 8,000 bytes"):
-        read_groups(stored(tmp_path), {"posterior": ()}, WHAT)
+    for is_sealed in (False, True):
+        with pytest.raises(InputError, match="declares 8,000 bytes"):
+            read_groups(stored(tmp_path, is_sealed=is_sealed), {"posterior": ()}, WHAT)
 
 
 def test_a_sealed_file_is_read_and_any_changed_byte_is_found(tmp_path: Path) -> None:
