@@ -62,12 +62,12 @@ LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
 FASTEST: Final = 0.45  # cycles from row to row, of what trapezoids still show
-NODES: Final = (0.0, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
+NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
 NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
 """Dampings that sizes are averaged over, and those about the best. A line that dies fast and an
 appendage that answers little are much alike: the fit, near one damping, says too little of both."""
 UNDAMPED: Final = 0.2  # prior probability of none, as one of five that are looked at
-DAMPED: Final = (2e-4, 5e-2)  # and of the others, uniform in their logarithm
+DAMPED: Final = (1e-5, 5e-2)  # and of the others, uniform in their logarithm
 LEAST_BEND: Final = 0.05  # nats: a frequency is known to four steps at least, or it is another line
 FREQUENCY_STEP: Final = 0.3  # of a line's width, for its curvature by frequency: judgement
 
@@ -226,8 +226,8 @@ def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
     frequency = shapes.frequency_hz[place] + shapes.frequency_sd_hz[place] * rng.standard_normal(
         draws
     )
-    edges = _edges(shapes.damping)
-    damping = rng.uniform(edges[place], edges[place + 1])
+    low, high = _cells(shapes.damping)
+    damping = rng.uniform(low[place], high[place])
     values = {
         "cosine_rad_s": swing[:, 0],
         "sine_rad_s": swing[:, 1],
@@ -236,10 +236,10 @@ def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
     return _of_free_body(line, values, frequency, damping)
 
 
-def _edges(damping: Array) -> Array:
-    """Bounds (K + 1,) of what each of some dampings (K,) stands for, half-way to its neighbours."""
-    middle = 0.5 * (damping[1:] + damping[:-1])
-    return np.concatenate([[0.0], middle, damping[-1:]])
+def _cells(damping: Array) -> tuple[Array, Array]:
+    """Bounds (K,) of what dampings stand for: none for itself, others half-way to the next."""
+    middle = 0.5 * (damping[2:] + damping[1:-1])
+    return np.concatenate([[0.0, DAMPED[0]], middle]), np.concatenate([[0.0], middle, DAMPED[1:]])
 
 
 def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: Array) -> Values:
@@ -420,11 +420,12 @@ def _shapes(
     step = SLOPE_STEP / (2.0 * np.pi * frequency_hz * span_s)
     middle = max(found, step)
     _, sd = _peak([shape((frequency_hz, middle + d, axis))[0] for d in (-step, 0.0, step)], step)
-    near = np.clip(found + sd * np.array(NEAR_BEST), 0.0, DAMPED[1])
-    dampings = np.unique(np.concatenate([NODES, near]))
-    logs = np.log(np.clip(_edges(dampings), *DAMPED))
-    prior = (1.0 - UNDAMPED) * np.diff(logs) / np.diff(np.log(DAMPED))
-    prior[0] += UNDAMPED
+    near = found + sd * np.array(NEAR_BEST)
+    near = near[(near > DAMPED[0]) & (near < DAMPED[1])]
+    dampings = np.concatenate([[0.0], np.unique(np.concatenate([NODES, near]))])
+    low, high = _cells(dampings)
+    damped = (1.0 - UNDAMPED) * np.log(high[1:] / low[1:]) / np.log(DAMPED[1] / DAMPED[0])
+    prior = np.concatenate([[UNDAMPED], damped])
     rows = []
     for damping in dampings:
         step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping * frequency_hz))

@@ -23,13 +23,14 @@ from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.report import pictures_of, render_report, sections_of
-from cassini_bayes.report.page import CHECKS, INERTIA, OBSERVABILITY, THRUSTS
+from cassini_bayes.report.page import Chapter
 from cassini_bayes.results import fitting
 from cassini_bayes.results.record import GROUPS, read_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.sampling.warmstart import WarmStart
 
 pytestmark = pytest.mark.usefixtures("short_warm_start")
+CHAPTERS = (Chapter.OBSERVABILITY, Chapter.INERTIA, Chapter.THRUSTS, Chapter.CHECKS)
 SAMPLER = {"ensembles": 2, "walkers": 56, "target_ess": 100, "first_check": 64, "max_steps": 100}
 OUTPUT = {"report": False, "draws_per_ensemble": 500, "prior_draws": 500}
 
@@ -101,9 +102,7 @@ def test_the_page_shows_what_telemetry_adds(mixed: tuple[Outcome, Silent]) -> No
     """Sections, tables and pictures of telemetry are on the page, and those of totals rows stay."""
     review = mixed[0].review
     sections = sections_of(review)
-    drawn = pictures_of(
-        [own for own in sections if own.chapter in (OBSERVABILITY, INERTIA, THRUSTS, CHECKS)]
-    )
+    drawn = pictures_of([own for own in sections if own.chapter in CHAPTERS])
     assert {"observability", "inertia", "thrusts", "balance", "series_1", "series_2"} <= set(drawn)
     page = render_report(review, sections, drawn)
     for words in (
