@@ -91,7 +91,8 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
     record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
     events = [str(folder / "record" / event.name) for event in scene.events]
     inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]
-    said = _called([setting.command, "diagnose", *inputs, "--out", str(folder / "diagnosis")])
+    where = ["--out", str(folder / "diagnosis"), "--no-gain"]  # no trial reads it
+    said = _called([setting.command, "diagnose", *inputs, *where])
     record["diagnosis"] = said | read_diagnosis(folder / "diagnosis" / "diagnosis.json")
     if setting.fit:
         where = ["--out", str(folder / "fit"), "--no-report"]
