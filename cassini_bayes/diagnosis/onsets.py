@@ -28,7 +28,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Beginning, H, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
-from cassini_bayes.diagnosis.innovations import effect_columns
+from cassini_bayes.diagnosis.innovations import effect_columns, innovations
 from cassini_bayes.effects.effect import Effect, Remainder, onsets
 from cassini_bayes.effects.registry import Odds
 from cassini_bayes.model.mission.losses import log_bayes_single
@@ -202,6 +202,20 @@ def begins_with(weighed: Weighed[Any]) -> str:
     """Id of the event that the last effect of a hypothesis begins with; empty throughout."""
     onset = weighed.hypothesis.effects[-1].onset
     return "" if onset is None else onset.event
+
+
+def gains_about(
+    full: Hypothesis, z: Array, causes: Sequence[Candidate], events: Events
+) -> list[float]:
+    """Log Bayes factors of causes against none, nats, by their linear models about a point z (d,).
+
+    ``full`` is the hypothesis without them, with all columns.
+    """
+    effects = [cause.hypothesis.effects[-1] for cause in causes]
+    linear = innovations(full, z).linear if events.telemetry else None
+    matrix, vector = linear_model(full, z, linear, effects, events.in_order)[0]
+    ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
+    return [log_bayes(matrix[a:c, a:c], vector[a:c]) for a, c in pairwise(ends)]
 
 
 def linear_model(
