@@ -4,8 +4,9 @@ On the flight that has the effect, seen without noise, the balance of momentum a
 without the effect leaves δ. With the noise of the rows whitened and X the slopes of the balance
 along each parameter of the baseline times the width of its prior, σ² = δᵀ(1 + X Xᵀ)⁻¹ δ. Rate bias
 and rate scale hide in the balance (in the initial momentum, in the inertia): theirs comes from
-attitudes against rates. Linear, and rough on purpose: it says whether a trial is a fair question,
-not what the answer is.
+attitudes against rates. Between firings attitudes tell rates as well, and better: a straight line
+through them for T seconds has a slope as rates of noise σ_θ √12/T in every row would give it.
+Linear, and rough on purpose: it says whether a trial is a fair question, not what the answer is.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from closed_loop.valve import Valve
 
 SETTLED_S = 0.6
 """After a firing, until a row counts: the tail has gone."""
+LONGEST_S = 32.0
+"""Of a line through attitudes: what lasts longer the balance says as well."""
 _SLOPE_STEP = 0.02
 _LEAST_WIDTH = 1e-9
 _WIDE_N_M_S = 1e3
@@ -43,6 +46,10 @@ class Seen:
             for start, end in pulses:
                 keep &= (at - offset < start) | (at - offset >= end + round(1000 * SETTLED_S))
         self.flight = flight
+        fired = [0, *sorted(start for pulses in flight.pulses for start, _ in pulses), int(at[-1])]
+        quiet = np.minimum(1e-3 * np.diff(fired), LONGEST_S)
+        # most time is in the long pieces
+        self.quiet_s = float(quiet @ quiet / quiet.sum())
         self.time_s = 1e-3 * at[keep]
         self.counted_s = self.time_s - departures.time_offset_s
         self.attitude = flight.attitude[keep]
@@ -80,7 +87,9 @@ class Seen:
     def noise(self, truth: Truth, channels: Channels) -> Array:
         """Covariance of a row of the balance, (3, 3): that of rates, wheels and attitudes."""
         body = truth.body(self.flight.event.name)
-        rate = channels.rate_noise_rad_s**2 + channels.rate_step_rad_s**2 / 12.0
+        gyro = channels.rate_noise_rad_s**2 + channels.rate_step_rad_s**2 / 12.0
+        lines = 12.0 * (channels.attitude_noise_rad / self.quiet_s) ** 2
+        rate = 1.0 / (1.0 / gyro + 1.0 / lines)
         rpm = channels.wheel_noise_rpm**2 + channels.wheel_step_rpm**2 / 12.0
         wheel = (2.0 * np.pi / 60.0) ** 2 * rpm
         arms = body.wheel_axes * body.wheel_inertia_kg_m2
