@@ -6,7 +6,8 @@ every band. Each of the B columns is of one new column: where several are made o
 there as often. Other threads may work on other points.
 
 Linear algebra on three or four wheels is written out: calls of LAPACK from
-compiled code hold the interpreter's lock and cost more than the work.
+compiled code hold the interpreter's lock and cost more than the work. So are copies: an assignment
+to a slice takes a second and more to compile.
 """
 
 from __future__ import annotations

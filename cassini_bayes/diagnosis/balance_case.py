@@ -74,8 +74,8 @@ GAINED_ALIKE: Final = 0.1
 """Of what the best gains: causes nearer than that may be the same one seen from another side
 (judgement), and are searched alike."""
 MOST_FROM_CENTRE: Final = 16
-"""Causes searched from the centre: judgement, a quarter of those that there are. With the likeliest
-first, one of a leak of 50 standard deviations was the first (docs/topics/criticism.md §1)."""
+"""Causes searched from the centre: judgement, a quarter of those that there are. By their linear
+models there, a leak of 50 standard deviations came first (docs/topics/criticism.md §1)."""
 HOPED_NATS: Final = 10.0
 """By which what a search found may be short of its evidence: judgement, its score is that of a
 linear model about one point, and the fit moves on."""

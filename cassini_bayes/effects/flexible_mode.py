@@ -16,7 +16,7 @@ the free spacecraft, and is 1 − φ times too small.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import sha256
@@ -25,7 +25,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.special import log_ndtr, ndtr, ndtri
 
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
@@ -40,6 +39,14 @@ from cassini_bayes.effects.appendage import (
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import Firings
+from cassini_bayes.effects.line_shapes import (
+    Line,
+    Posterior,
+    Shapes,
+    draw_shapes,
+    posterior,
+    shapes_over_dampings,
+)
 from cassini_bayes.effects.wording import Clause
 from cassini_bayes.priors.distributions import Distribution
 
@@ -62,14 +69,6 @@ LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
 FASTEST: Final = 0.45  # cycles from row to row, of what trapezoids still show
-NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
-NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
-"""Dampings that sizes are averaged over, and those about the best. A line that dies fast and an
-appendage that answers little are much alike: the fit, near one damping, says too little of both."""
-UNDAMPED: Final = 0.2  # prior probability of none, as one of five that are looked at
-DAMPED: Final = (1e-5, 5e-2)  # and of the others, uniform in their logarithm
-LEAST_BEND: Final = 0.05  # nats: a frequency is known to four steps at least, or it is another line
-FREQUENCY_STEP: Final = 0.3  # of a line's width, for its curvature by frequency: judgement
 
 
 @dataclass(frozen=True)
@@ -87,22 +86,6 @@ class BalancedRates:
     def instead(measured_rad_s: Array, rate_rad_s: Array, known: float) -> BalancedRates:
         """Rates for those that were measured, both (N, 3)."""
         return BalancedRates(_digest(measured_rad_s), rate_rad_s, known)
-
-
-@dataclass(frozen=True)
-class Shapes:
-    """Posterior of a line over K dampings, each with the frequency that is best for it.
-
-    ``mean`` (K, 3) and ``covariance`` (K, 3, 3) are those of cosine, sine (rad/s) and share of the
-    inertia before the share's bound at zero, ``weight`` (K,) the probabilities.
-    """
-
-    weight: Array
-    damping: Array
-    frequency_hz: Array
-    frequency_sd_hz: Array
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -204,42 +187,17 @@ def report(values: Values, setting: Setting) -> Values:
 
 
 def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
-    """Sizes (n,) over all dampings (:class:`Shapes`), as :func:`report` has them."""
+    """Sizes (n,) over all dampings (:class:`.Shapes`), as :func:`report` has them."""
     line = _line(setting)
-    shapes = line.shapes
-    if shapes is None:
+    if line.shapes is None:
         return {}
-    place = rng.choice(len(shapes.weight), draws, p=shapes.weight)
-    mean, covariance = shapes.mean[place], shapes.covariance[place]
-    sd = np.sqrt(covariance[:, 2, 2])
-    below = ndtr(-mean[:, 2] / sd)
-    share = mean[:, 2] + sd * ndtri(below + (1.0 - below) * rng.uniform(size=draws))
-    along = (np.maximum(share, 0.0) - mean[:, 2]) / covariance[:, 2, 2]
-    swing = mean[:, :2] + covariance[:, :2, 2] * along[:, None]
-    rest = (
-        shapes.covariance[:, :2, :2]
-        - (shapes.covariance[:, :2, 2:] * shapes.covariance[:, 2:, :2])
-        / shapes.covariance[:, 2:, 2:]
-    )
-    factors = np.linalg.cholesky(rest)[place]
-    swing = swing + (factors @ rng.standard_normal((draws, 2, 1)))[..., 0]
-    frequency = shapes.frequency_hz[place] + shapes.frequency_sd_hz[place] * rng.standard_normal(
-        draws
-    )
-    low, high = _cells(shapes.damping)
-    damping = rng.uniform(low[place], high[place])
+    swing, share, frequency, damping = draw_shapes(line.shapes, rng, draws)
     values = {
         "cosine_rad_s": swing[:, 0],
         "sine_rad_s": swing[:, 1],
-        "inertia_fraction": np.maximum(share, 0.0),
+        "inertia_fraction": share,
     }
     return _of_free_body(line, values, frequency, damping)
-
-
-def _cells(damping: Array) -> tuple[Array, Array]:
-    """Bounds (K,) of what dampings stand for: none for itself, others half-way to the next."""
-    middle = 0.5 * (damping[2:] + damping[1:-1])
-    return np.concatenate([[0.0, DAMPED[0]], middle]), np.concatenate([[0.0], middle, DAMPED[1:]])
 
 
 def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: Array) -> Values:
@@ -368,9 +326,12 @@ def find_oscillation(
     factor = cho_factor(linear.gram())
     views = [_views(rows, linear, axis) for axis in range(3)]
 
-    def score(line: tuple[float, float, int]) -> float:
+    def posterior_of(line: Line) -> Posterior:
         gram, projection = _fine(rows, motions, views[line[2]], factor, line)
-        return float(_log_evidence(gram, projection, size[line[2]]))
+        return posterior(gram, projection, size[line[2]])
+
+    def score(line: Line) -> float:
+        return float(posterior_of(line).log_evidence)
 
     fits = [
         (float(frequencies[f] + shift / span), damping, axis)
@@ -383,10 +344,6 @@ def find_oscillation(
     )[:PEAKS]
     fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(fits, key=score)
-
-    def shape(line: tuple[float, float, int]) -> tuple[float, Array, Array]:
-        gram, projection = _fine(rows, motions, views[line[2]], factor, line)
-        return _posterior(gram, projection, size[line[2]])
 
     def loss(x: Array) -> float:
         return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
@@ -401,79 +358,9 @@ def find_oscillation(
     step = float(np.median([motion.step_s for motion in motions]))
     damping = float(result.x[1] ** 2)
     units = np.array([*scales[:1], *scales])
-    shapes = _shapes(shape, (frequency, damping, axis), span, units)
+    shapes = shapes_over_dampings(posterior_of, (frequency, damping, axis), span, units)
     gain = -float(result.fun)
     return Oscillation(frequency, damping, axis, looks, gain, span, step, shapes=shapes)
-
-
-def _shapes(
-    shape: Callable[[tuple[float, float, int]], tuple[float, Array, Array]],
-    line: tuple[float, float, int],
-    span_s: float,
-    scales: Array,
-) -> Shapes:
-    """A line found at other dampings (:data:`NODES`), for each with its best frequency.
-
-    ``shape`` gives log evidence, mean and covariance of sizes in units of ``scales`` (3,).
-    """
-    frequency_hz, found, axis = line
-    step = SLOPE_STEP / (2.0 * np.pi * frequency_hz * span_s)
-    middle = max(found, step)
-    _, sd = _peak([shape((frequency_hz, middle + d, axis))[0] for d in (-step, 0.0, step)], step)
-    near = found + sd * np.array(NEAR_BEST)
-    near = near[(near > DAMPED[0]) & (near < DAMPED[1])]
-    dampings = np.concatenate([[0.0], np.unique(np.concatenate([NODES, near]))])
-    low, high = _cells(dampings)
-    damped = (1.0 - UNDAMPED) * np.log(high[1:] / low[1:]) / np.log(DAMPED[1] / DAMPED[0])
-    prior = np.concatenate([[UNDAMPED], damped])
-    rows = []
-    for damping in dampings:
-        step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping * frequency_hz))
-        shifts = (frequency_hz - step, frequency_hz, frequency_hz + step)
-        shift, sd = _peak([shape((f, damping, axis))[0] for f in shifts], step)
-        best = frequency_hz + shift
-        rows.append((best, sd, *shape((best, damping, axis))))
-    frequency, frequency_sd, score, mean, covariance = (
-        np.array(own) for own in zip(*rows, strict=True)
-    )
-    weight = prior * np.exp(score - score.max())
-    return Shapes(
-        weight / weight.sum(),
-        dampings,
-        frequency,
-        frequency_sd,
-        scales * mean,
-        covariance * np.outer(scales, scales),
-    )
-
-
-def _peak(values: Sequence[float], step: float) -> tuple[float, float]:
-    """Where a parabola through three log densities has its peak, from the middle, and its sd."""
-    below, middle, above = values
-    bend = max(2.0 * middle - below - above, LEAST_BEND)
-    shift = step * float(np.clip(0.5 * (above - below) / bend, -2.0, 2.0))
-    return shift, step / float(np.sqrt(bend))
-
-
-def _posterior(gram: Array, projection: Array, size: Array) -> tuple[float, Array, Array]:
-    """log Z, mean (3,) and covariance (3, 3) of sizes in prior scales, for one line."""
-    covariance = np.asarray(np.linalg.inv(gram * np.outer(size, size) + np.eye(len(size))))
-    score = float(_log_evidence(gram, projection, size))
-    return score, covariance @ (projection * size), covariance
-
-
-def _log_evidence(gram: Array, projection: Array, size: Array) -> Array:
-    """log Z (...) against no oscillation of columns with Gram (..., 3, 3), Aᵀy (..., 3).
-
-    The last size, a share of the inertia, is not below zero: the prior's half below it lies above.
-    """
-    covariance = np.linalg.inv(
-        gram * size[..., :, None] * size[..., None, :] + np.eye(gram.shape[-1])
-    )
-    b = projection * size
-    mean = (covariance @ b[..., None])[..., 0]
-    above = np.log(2.0) + log_ndtr(mean[..., -1] / np.sqrt(covariance[..., -1, -1]))
-    return np.asarray(0.5 * (b * mean).sum(-1) + 0.5 * np.linalg.slogdet(covariance)[1] + above)
 
 
 def _coarse(
@@ -503,7 +390,7 @@ def _coarse(
             places = np.array([0, 1, 2 + axis])
             gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
             projection[:, axis] += along[:, places, axis]
-    return _log_evidence(gram, projection, size)
+    return posterior(gram, projection, size).log_evidence
 
 
 def _peaks(scores: Array) -> list[tuple[int, int]]:
@@ -546,7 +433,7 @@ def _fine(
     motions: Sequence[KnownMotion],
     views: Sequence[_View],
     factor: tuple[Array, bool],
-    line: tuple[float, float, int],
+    line: Line,
 ) -> tuple[Array, Array]:
     """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
 

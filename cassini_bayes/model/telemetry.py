@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -176,6 +176,23 @@ class TelemetryTerm:
 _UNKNOWN: Final = np.full((1, 1), np.nan)
 
 
+class _Collapsed(NamedTuple):
+    """An event's own unknowns u integrated out: what is left of them, and of the thrusts F.
+
+    With M the normal equations and v = (u − mean)/sd, given F, v is normal: its precision is
+    1 + s M_vv s with the lower ``factor`` (n, U, U), its mean factor⁻ᵀ (shift − coupling F),
+    ``shift`` (n, U) and ``coupling`` (n, U, K). ``matrix``, ``vector`` and ``constant`` are the
+    information on the thrusts.
+    """
+
+    factor: Array
+    shift: Array
+    coupling: Array
+    matrix: Array
+    vector: Array
+    constant: Array
+
+
 @dataclass(frozen=True)
 class TelemetryAt:
     """A telemetry event at n points."""
@@ -201,32 +218,30 @@ class TelemetryAt:
         )
 
     @cached_property
-    def _collapsed(self) -> tuple[Array, ...]:
-        """Own unknowns u integrated out: what is left of them, and of the thrusts F.
-
-        With M the normal equations and v = (u − mean)/sd, given F, v is normal: its precision is
-        1 + s M_vv s with the lower factor (n, U, U), its mean factor⁻ᵀ (shift − coupling F), shift
-        (n, U) and coupling (n, U, K). Then come matrix, vector and constant of the thrusts.
-        """
+    def _collapsed(self) -> _Collapsed:
+        """Own unknowns integrated out."""
         system = self.system
-        *left, constant = without_own(
-            system.normal,
-            self.term.balance.pattern.thrusters,
-            system.own_mean,
-            system.own_sd,
-            np.ascontiguousarray(self.points.common_n),
+        left = _Collapsed(
+            *without_own(
+                system.normal,
+                self.term.balance.pattern.thrusters,
+                system.own_mean,
+                system.own_sd,
+                np.ascontiguousarray(self.points.common_n),
+            )
         )
-        return *left, system.log_scale + constant
+        return left._replace(constant=system.log_scale + left.constant)
 
     @property
     def log_likelihood(self) -> Array:
         """That of an event that does not fire, (n,)."""
-        return np.zeros(self.points.n) if self.term.event.fires else self._collapsed[-1]
+        return np.zeros(self.points.n) if self.term.event.fires else self._collapsed.constant
 
     @property
     def information(self) -> ThrustInformation:
         """Information of momentum and of a measured velocity change on the event's thrusts."""
-        *_, matrix, vector, constant = self._collapsed
+        left = self._collapsed
+        matrix, vector, constant = left.matrix, left.vector, left.constant
         if not self.term.event.fires:
             return ThrustInformation.nothing(
                 self.points.n, len(self.points.shared.thrust_prior.shared)
@@ -268,10 +283,10 @@ class TelemetryAt:
 
     def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
         """Initial momentum, torque and cut tails given the thrusts."""
-        factor, shift, coupling, *_ = self._collapsed
-        pull = shift - (coupling @ thrust_n.reshape(self.points.n, -1, 1))[..., 0]
+        left = self._collapsed
+        pull = left.shift - (left.coupling @ thrust_n.reshape(self.points.n, -1, 1))[..., 0]
         white = pull + rng.standard_normal(pull.shape)
-        v = np.linalg.solve(np.swapaxes(factor, -1, -2), white[..., None])[..., 0]
+        v = np.linalg.solve(np.swapaxes(left.factor, -1, -2), white[..., None])[..., 0]
         own = self.system.own_mean + self.system.own_sd * v
         places = self.term.balance.unknowns.at(0)
         return {

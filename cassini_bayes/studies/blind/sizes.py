@@ -377,12 +377,12 @@ def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> 
 def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
     """σ of an oscillation on the flight that has it, its line known."""
     line, values = hidden_oscillation(hidden.parameters)
-    settled = replace(effect, search_result=line)
     if stage.scene.condition is not None:
         events = stage.scene.fly((hidden,))
         settled = replace(effect, search_result=moved_by(line, stage.scene, events, hidden))
         events = events.with_columns_of([settled])
         return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
+    settled = replace(effect, search_result=line)
     view = stage.view(hidden)
     events = view.events.with_columns_of([settled])
     with_line = replace(view, events=events, none=none_hypothesis(events))
