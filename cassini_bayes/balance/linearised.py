@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.turns import Pieces
+from cassini_bayes.balance.statistics.turns import WhiteTurns
 from cassini_bayes.computing.arrays import Array
 
 
@@ -24,8 +24,9 @@ class EventRows:
 
     ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:
     ``residual_n_m_s = white @ noise_factor.T`` with the lower factor (3, 3) of a row's noise. With
-    ``pieces`` all that is of the balance integrated over quiet pieces, N m s², in which turns of
-    the attitude are measured and not rates (:mod:`.statistics.turns`).
+    ``turns`` all that is of the balance integrated over quiet pieces, N m s², in which turns of the
+    attitude are measured and not rates, and whitened along every piece
+    (:class:`.statistics.turns.WhiteTurns`).
     """
 
     event: str
@@ -39,7 +40,7 @@ class EventRows:
     thrusters: tuple[str, ...]
     noise_factor: Array
     attitude: Array  # (n, 4) Euler parameters, scalar last
-    pieces: Pieces | None = None
+    turns: WhiteTurns | None = None
 
 
 @dataclass(frozen=True)

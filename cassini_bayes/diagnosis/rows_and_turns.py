@@ -2,8 +2,7 @@
 
 Turns of the attitude show what is slower than a second or so better than a gyro. In a quiet piece
 the integral of the balance holds, so every column of a row is integrated; the rates' own is
-replaced by the turn. For searches before a fit: the noise of integrated wheel rates is taken as
-white beside the roundings of wheels at rest, and torque noise has a column for each of its cosines
+replaced by the turn. For searches before a fit: torque noise has a column for each of its cosines
 of two minutes and more.
 """
 
@@ -20,7 +19,12 @@ from cassini_bayes.balance.bands import walk_scales
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import Rows, walk_columns
-from cassini_bayes.balance.statistics.turns import Pieces, pieces_of, turns_between
+from cassini_bayes.balance.statistics.turns import (
+    Pieces,
+    WhiteTurns,
+    pieces_of,
+    turns_between,
+)
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import wheel_covariance
 from cassini_bayes.computing.arrays import Array
@@ -53,19 +57,22 @@ def with_turns(
     for (balance, physics), own, event, part in zip(terms, usable, rows, linear.parts, strict=True):
         n = len(own.time_s)
         pieces = pieces_of(own, balance.statistics.layout, balance.sampling)
-        factor = _turn_factor(balance, physics, located.parameters)
-        to_white = np.linalg.inv(factor)
+        factor, ratio = _turn_noise(balance, physics, located.parameters)
+        white, to_white = WhiteTurns.over(pieces, ratio), np.linalg.inv(factor)
         to_turns = to_white @ event.noise_factor
         used = np.flatnonzero(np.any(linear.columns[part], axis=0))
         of_rows = linear.columns[part][:, used].reshape(n, 3, -1)
         integrated = pieces.integrated(of_rows.reshape(n, -1)).reshape(of_rows.shape)
-        own_columns = np.zeros((3 * n, linear.columns.shape[1]))
-        own_columns[:, used] = np.einsum("ab,nbp->nap", to_turns, integrated).reshape(3 * n, -1)
+        own_columns = np.zeros((n, 3, linear.columns.shape[1]))
+        own_columns[:, :, used] = np.einsum("ab,nbp->nap", to_turns, integrated)
         target = pieces.integrated(linear.target[part].reshape(n, 3)) @ to_turns.T
-        instead = _turns_for_rates(physics, own, event.rate_rad_s, pieces)
-        targets.append((target + instead @ to_white.T).reshape(-1))
-        columns.append(own_columns)
-        turned.append(replace(event, noise_factor=factor, pieces=pieces))
+        target += _turns_for_rates(physics, own, event.rate_rad_s, pieces) @ to_white.T
+        for axis in range(3):
+            own_columns[:, axis, used] = white.whitened(own_columns[:, axis, used], axis)
+            target[:, axis] = white.whitened(target[:, [axis]], axis)[:, 0]
+        targets.append(target.reshape(-1))
+        columns.append(own_columns.reshape(3 * n, -1))
+        turned.append(replace(event, noise_factor=factor, turns=white))
     both = Linear(
         np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
     )
@@ -93,17 +100,20 @@ def _torque_noise(
     return walk_columns(rows.time_s, since_start, duration, count), variance
 
 
-def _turn_factor(
+def _turn_noise(
     balance: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
-) -> Array:
-    """Lower factor (3, 3) of a turn's noise, N m s²: of the attitude, and of summed wheel rates."""
-    of_wheels = wheel_covariance(balance, physics, parameters)[0]
-    contrasts = np.array([band.contrasts for band in balance.turns])
-    summed_s2 = np.array([band.summed_s2 for band in balance.turns])
+) -> tuple[Array, Array]:
+    """Lower factor (3, 3) of the attitude's part of a turn's noise, N m s²; the wheels' part of it.
+
+    That is the variance of a row over that of the attitude, (3,) in 1/s², about whitened axes. What
+    wheels share between these is left out.
+    """
     attitude = max(float(parameters["attitude_noise_rad"][0]), LEAST_ATTITUDE_RAD)
     inertia = attitude * physics.inertia_kg_m2[0]
-    mean_s2 = float(contrasts @ summed_s2) / max(int(contrasts.sum()), 1)
-    return np.linalg.cholesky(inertia @ inertia.T + mean_s2 * of_wheels)
+    factor = np.linalg.cholesky(inertia @ inertia.T)
+    to_white = np.linalg.inv(factor)
+    of_wheels = wheel_covariance(balance, physics, parameters)[0]
+    return factor, np.diagonal(to_white @ of_wheels @ to_white.T).copy()
 
 
 def _turns_for_rates(physics: Physics, rows: Rows, rate_rad_s: Array, pieces: Pieces) -> Array:

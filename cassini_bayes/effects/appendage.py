@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.turns import Pieces
+from cassini_bayes.balance.statistics.turns import WhiteTurns
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled
 
@@ -103,14 +103,26 @@ def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
 
 
 def products_of_turns(
-    pieces: Pieces, frequency_hz: Array, damping: float, left: Array
+    turns: WhiteTurns, step_s: float, frequency_hz: Array, damping: float, left: Array
 ) -> tuple[Array, Array]:
     """Inner products of a free oscillation's cosine and sine, integrated over quiet pieces.
 
-    With each other, (f, 2, 2), and with what is left of turns, ``left`` (n, 3), centred over every
-    piece, (f, 2, 3). The answer to the body's motion is not among them.
+    With each other, (f, 3 axes, 2, 2), and with what is left of turns, whitened, ``left`` (n, 3),
+    (f, 2, 3). With each other they count as a slope and as a swing in the noise of its frequency
+    (rows ``step_s`` apart). The answer to the body's motion is not among them.
     """
-    return _products_of_turns(pieces.time_s, pieces.ends, 2.0 * np.pi * frequency_hz, damping, left)
+    pieces, shares = turns.pieces, turns.slope_shares
+    weighed = np.column_stack([turns.whitened(left[:, [axis]], axis) for axis in range(3)])
+    of_slopes, whole, along = _products_of_turns(
+        (pieces.time_s, turns.ramps, pieces.ends),
+        np.column_stack([np.ones(len(shares)), shares]),
+        2.0 * np.pi * frequency_hz,
+        damping,
+        weighed,
+    )
+    swings = turns.swing_shares(frequency_hz, step_s)[:, :, None, None]
+    squares = of_slopes[:, 1:] + swings * (whole[:, None] - of_slopes[:, :1])
+    return squares, along
 
 
 @compiled
@@ -185,13 +197,30 @@ def _products(
 
 @compiled
 def _products_of_turns(
-    time_s: Array, ends: Places, angular: Array, damping: float, left: Array
-) -> tuple[Array, Array]:  # pragma: no cover - compiled
-    """See :func:`products_of_turns`; Ω (f,) in rad/s, ``ends`` (p + 1,) bounds of the pieces.
+    rows: tuple[Array, Array, Places],
+    shares: Array,
+    angular: Array,
+    damping: float,
+    left: Array,
+) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
+    """See :func:`products_of_turns`; Ω (f,) in rad/s.
 
     ∫ exp((i − ζ) Ωt) dt = exp((i − ζ) Ωt)/((i − ζ) Ω), from which the piece's mean is taken off.
+
+    Parameters
+    ----------
+    rows
+        Their times and ramps (n,), bounds (p + 1,) of the pieces.
+    shares
+        (p, w) by which squares of slopes are weighed, in w ways.
+
+    Returns
+    -------
+    Squares of slopes (f, w, 2, 2), of all (f, 2, 2), and products (f, 2, 3) with what is left.
     """
+    time_s, ramp, ends = rows
     squares, along = np.zeros((angular.size, 2, 2)), np.zeros((angular.size, 2, 3))
+    of_slopes = np.zeros((angular.size, shares.shape[1], 2, 2))
     free = np.empty((2, time_s.size))
     for f in range(angular.size):
         omega, own_along = angular[f], along[f]
@@ -199,12 +228,14 @@ def _products_of_turns(
         _oscillate(time_s, omega, damping, free)
         of_cosine, of_sine, of_both = 0.0, 0.0, 0.0
         for piece in range(ends.size - 1):
-            sum_cosine, sum_sine = 0.0, 0.0
+            sum_cosine, sum_sine, slope_cosine, slope_sine = 0.0, 0.0, 0.0, 0.0
             for i in range(ends[piece], ends[piece + 1]):
                 cosine, sine = free[0, i], free[1, i]
                 gained = share * (sine - damping * cosine), -share * (cosine + damping * sine)
                 sum_cosine += gained[0]
                 sum_sine += gained[1]
+                slope_cosine += ramp[i] * gained[0]
+                slope_sine += ramp[i] * gained[1]
                 of_cosine += gained[0] * gained[0]
                 of_sine += gained[1] * gained[1]
                 of_both += gained[0] * gained[1]
@@ -215,9 +246,15 @@ def _products_of_turns(
             of_cosine -= sum_cosine * sum_cosine / count
             of_sine -= sum_sine * sum_sine / count
             of_both -= sum_cosine * sum_sine / count
+            for way in range(shares.shape[1]):
+                own = of_slopes[f, way]
+                own[0, 0] += shares[piece, way] * slope_cosine**2
+                own[1, 1] += shares[piece, way] * slope_sine**2
+                own[0, 1] += shares[piece, way] * slope_cosine * slope_sine
+                own[1, 0] = own[0, 1]
         squares[f, 0, 0], squares[f, 1, 1] = of_cosine, of_sine
         squares[f, 0, 1] = squares[f, 1, 0] = of_both
-    return squares, along
+    return of_slopes, squares, along
 
 
 @compiled

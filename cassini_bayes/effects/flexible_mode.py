@@ -377,9 +377,11 @@ def _coarse(
         directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
         lengths = (directions**2).sum(0)
         left = event.white @ directions
-        if event.pieces is not None:
-            squares, along = products_of_turns(event.pieces, frequencies, damping, left)
-            gram[:, :, :2, :2] += lengths[:, None, None] * squares[:, None]
+        if event.turns is not None:
+            squares, along = products_of_turns(
+                event.turns, motion.step_s, frequencies, damping, left
+            )
+            gram[:, :, :2, :2] += lengths[:, None, None] * squares
             projection[:, :, :2] += np.swapaxes(along, 1, 2)
             continue
         squares, along = motion.products(event.time_s, frequencies, damping, left)
@@ -446,9 +448,10 @@ def _fine(
     for event, motion, view in zip(rows, motions, views, strict=True):
         cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
         series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
-        if event.pieces is not None:
+        if event.turns is not None:
             seen = _over_trapezoids(frequency_hz, motion.step_s)
-            series = seen * event.pieces.integrated(series)
+            series = seen * event.turns.pieces.integrated(series)
+            series = event.turns.whitened(series, axis)
         gram += view.length * series.T @ series
         projection += view.white @ series
         across += view.columns.T @ series

@@ -7,7 +7,12 @@ import pytest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
 from cassini_bayes.balance.statistics.columns import ExtraColumn
-from cassini_bayes.balance.statistics.turns import pieces_of, turns_between
+from cassini_bayes.balance.statistics.turns import (
+    Pieces,
+    WhiteTurns,
+    pieces_of,
+    turns_between,
+)
 
 
 def test_integrated_columns_have_the_gram_matrices_of_slopes_and_the_rest() -> None:
@@ -42,3 +47,24 @@ def test_a_columns_own_integral_counts_in_turns_alone() -> None:
         grams.append((turns[place, place], turns[place, wheel], own.gram[..., place, place].sum()))
     once, more = grams
     assert more == pytest.approx((2.25 * once[0], 1.5 * once[1], once[2]))
+
+
+def test_noise_of_integrals_is_whitened_with_what_is_summed_up() -> None:
+    """Covariance over the contrasts of every piece is one; control: slopes are far from it without.
+
+    Attitudes with noise 1 and rows with noise √r, summed up by trapezoids.
+    """
+    time_s = np.r_[0.0:32.0, 40.0:44.0, 50.0:90.0:4.0, 100.0]
+    pieces = Pieces(time_s, np.array([0, 32, 36, 46, 47]))
+    ratios = np.array([0.0, 0.05, 0.3])
+    turns = WhiteTurns.over(pieces, ratios)
+    rows = np.eye(len(time_s))
+    centred, summed = pieces.centred(rows), pieces.integrated(rows)
+    for axis, ratio in enumerate(ratios):
+        noise = centred @ centred.T + ratio * summed @ summed.T
+        made = turns.whitened(centred, axis)
+        assert made @ noise @ made.T == pytest.approx(centred, abs=1e-9)
+    ramp = turns.ramps[:32]
+    assert ramp @ ramp == pytest.approx(1.0)
+    assert ramp @ noise[:32, :32] @ ramp == pytest.approx(1.0 / turns.slope_shares[0, 2])
+    assert ramp @ noise[:32, :32] @ ramp > 10.0

@@ -77,8 +77,8 @@ def test_what_is_left_of_turns_is_white_where_nothing_is_hidden() -> None:
     """Turns centred over pieces have the variance of their noise, and no line pays its search."""
     events, left = flown()
     _, (_, turns) = left.with_turns()
-    assert turns.pieces is not None
-    contrasts = len(turns.time_s) - (len(turns.pieces.ends) - 1)
+    assert turns.turns is not None
+    contrasts = len(turns.time_s) - (len(turns.turns.pieces.ends) - 1)
     # the fit takes up some of it; torque noise and rounding are not in one number
     assert (turns.white**2).sum(0) / contrasts == pytest.approx(np.ones(3), abs=0.18)  # 3 σ
     line = search(left, priors_of(events))

@@ -32,6 +32,7 @@ LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
 _SAME_S: Final = 1e-6  # times closer than this are the same
+_NYQUIST: Final = 0.49  # cycles from row to row, nearly: nothing is left of the fastest
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,87 @@ class Pieces:
         counts = np.diff(self.ends)
         means = np.add.reduceat(values, self.ends[:-1], axis=0) / counts[:, None]
         return np.asarray(values - np.repeat(means, counts, axis=0))
+
+
+@dataclass(frozen=True)
+class WhiteTurns:
+    """What integrals over quiet pieces are multiplied by, so that their noise is white.
+
+    Turns of the attitude have white noise; integrals of rows have theirs summed up, most in the
+    slope of a piece. With S the integral of a piece's rows, centred, and r the variance of a row's
+    noise over that of a turn, the noise of all rows of a piece is 1 + r S Sᵀ in units of a turn's.
+
+    ``of_row`` (p, M) are the places of the rows of all pieces, n where there are fewer than M;
+    ``modes`` (p, M, M) the eigenvectors of S Sᵀ without the constant, ``summed_s2`` (p, M) its
+    eigenvalues, ``slope_s2`` (p,) its square of the ramp; ``ratio_per_s2`` (3,) are the r of
+    whitened axes.
+    """
+
+    pieces: Pieces
+    of_row: Places
+    modes: Array
+    summed_s2: Array
+    slope_s2: Array
+    ratio_per_s2: Array
+
+    @staticmethod
+    def over(pieces: Pieces, ratio_per_s2: Array) -> WhiteTurns:
+        """Those of pieces, for ratios (3,) of the noise of a row to that of a turn, 1/s²."""
+        counts, n = np.diff(pieces.ends), len(pieces.time_s)
+        most = int(counts.max())
+        of_row = pieces.ends[:-1, None] + np.arange(most)
+        of_row = np.where(np.arange(most) < counts[:, None], of_row, n)
+        modes, summed = np.zeros((len(counts), most, most)), np.zeros((len(counts), most))
+        slope = np.zeros(len(counts))
+        known: dict[bytes, tuple[Array, Array, float]] = {}
+        for piece, (start, count) in enumerate(zip(pieces.ends[:-1], counts, strict=True)):
+            if count < LEAST_PIECE:
+                continue
+            time = pieces.time_s[start : start + count]
+            step = np.round(np.diff(time) / _SAME_S).tobytes()
+            if step not in known:
+                known[step] = _piece_modes(time)
+            own, summed[piece, : count - 1], slope[piece] = known[step]
+            modes[piece, :count, : count - 1] = own
+        return WhiteTurns(pieces, of_row, modes, summed, slope, ratio_per_s2)
+
+    def whitened(self, values: Array, axis: int) -> Array:
+        """Integrals (n, c), centred over pieces, with the noise of a whitened axis made white."""
+        padded = np.concatenate([values, np.zeros((1, values.shape[1]))])[self.of_row]
+        along = np.swapaxes(self.modes, 1, 2) @ padded
+        along /= np.sqrt(1.0 + self.ratio_per_s2[axis] * self.summed_s2)[:, :, None]
+        result = np.zeros((len(values) + 1, values.shape[1]))
+        result[self.of_row] = self.modes @ along
+        return result[:-1]
+
+    def swing_shares(self, frequency_hz: Array, step_s: float) -> Array:
+        """Share (f, 3) of what is not in slopes that noise leaves of a swing, by its square."""
+        tangent = np.tan(np.pi * np.minimum(frequency_hz * step_s, _NYQUIST))
+        summed_s2 = (0.5 * step_s / tangent) ** 2  # of rows of a period's noise
+        return np.asarray(1.0 / (1.0 + np.multiply.outer(summed_s2, self.ratio_per_s2)))
+
+    @property
+    def slope_shares(self) -> Array:
+        """Share (p, 3) that noise leaves of slopes, by their squares."""
+        return np.asarray(1.0 / (1.0 + np.multiply.outer(self.slope_s2, self.ratio_per_s2)))
+
+    @property
+    def ramps(self) -> Array:
+        """The ramp (n,) of every piece, of unit length; zero in a piece of one row."""
+        ramp = self.pieces.centred(self.pieces.time_s[:, None])[:, 0]
+        length = np.sqrt(np.add.reduceat(ramp**2, self.pieces.ends[:-1]))
+        counts = np.diff(self.pieces.ends)
+        return np.asarray(ramp / np.repeat(np.where(length > 0.0, length, 1.0), counts))
+
+
+def _piece_modes(time_s: Array) -> tuple[Array, Array, float]:
+    """Eigenvectors (m, m − 1) of S Sᵀ and eigenvalues (m − 1,), s², and the square of the ramp."""
+    summed = _integral(time_s, np.eye(len(time_s)))
+    summed = summed - summed.mean(axis=0)
+    values, vectors = np.linalg.eigh(summed @ summed.T)
+    centred = vectors[:, 1:]  # the first is a constant, of eigenvalue 0
+    slope = float((slope_weights(time_s) ** 2).sum())
+    return centred, np.maximum(values[1:], 0.0), slope
 
 
 def pieces_of(rows: Rows, layout: Layout, sampling: Sampling) -> Pieces:
