@@ -25,7 +25,15 @@ from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import Classifier, sizes_of
 from cassini_bayes.studies.blind.rates import CLEAR, WITHOUT_DECLINED, rates
-from cassini_bayes.studies.blind.sizes import Stage, draw_path, measured, stage
+from cassini_bayes.studies.blind.sizes import (
+    BESIDE_NONE,
+    Growth,
+    Stage,
+    draw_path,
+    measured,
+    sensitivity,
+    stage,
+)
 from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 from cassini_bayes.studies.blind.trials import is_seen, run_trial
 from cassini_bayes.studies.blind.uncatalogued import WITHOUT_THRUSTERS, draw_kind
@@ -153,6 +161,21 @@ def test_a_size_needs_no_mode_of_the_same_parameters() -> None:
     assert plain is not None
     assert searched is not None
     assert searched.sigma == pytest.approx(plain.sigma, rel=0.01)
+
+
+def test_late_records_show_nothing_up_to_a_control_cycle_and_then_much() -> None:
+    """Pulses start with cycles of 0.125 s; control: the model has a curvature there."""
+    scene = scene_of(events="one bias", cadence="1 s", controller="hysteresis", rates="as flown")
+    events = scene.fly(())
+    on = stage(scene, events, baseline(events))
+    effect = events.catalogue.effect("time_offset")
+    path = Growth(effect, {"time_offset_s": 1.0}, {})
+    sizes = [measured(on, path, late_s) for late_s in (0.06, 0.12, 0.13)]
+    below, still, above = (hidden.sigma for hidden in sizes if hidden is not None)
+    assert max(below, still) < 1.0
+    assert above > 7.0
+    by_model = 0.06 * sensitivity(events, on.base, path, BESIDE_NONE)
+    assert by_model > 3.0
 
 
 def sigma_of(oracle: Classifier, name: str, size: np.ndarray) -> float:

@@ -149,13 +149,16 @@ def _whitened(momentum: Sequence[Array], factors: Sequence[Array]) -> Array:
 def changed_size(shown: View, plain: View) -> float:
     """σ by the actual change of the data from the flight without to the flight with an effect.
 
-    Where the motion is the same (a misreading), rows are compared one by one. Where the controllers
-    answered, pulses fall elsewhere: what the model approximates, seen in the flight without the
-    effect, is taken off the square.
+    Where the motion and the rows are the same (a misreading), rows are compared one by one. Where
+    the controllers answered, pulses fall elsewhere, and late records let rows pass that hide a
+    pulse: what the model approximates, seen in the flight without the effect, is taken off the
+    square.
     """
+    events = zip(shown.events.telemetry, plain.events.telemetry, strict=True)
     same = all(
         np.array_equal(a.samples.attitude, b.samples.attitude, equal_nan=True)
-        for a, b in zip(shown.events.telemetry, plain.events.telemetry, strict=True)
+        and np.array_equal(a.usable_places, b.usable_places)
+        for a, b in events
     )
     if same:
         return _paired(shown, plain)

@@ -196,11 +196,12 @@ def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
 
     Under conditions the curvature of the marginal likelihood is δᵀV⁻¹δ with all that conditions
     change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
+    Late records have no such curvature: they show nothing up to a control cycle, and then much.
     """
-    if stage.scene.condition is not None:
-        return s * _flown_sensitivity(stage, stage.scene.fly((hidden,)), path, s)
     if path.effect.kind.name == "time_offset":
         return changed_size(stage.view(hidden), stage.plain)
+    if stage.scene.condition is not None:
+        return s * _flown_sensitivity(stage, stage.scene.fly((hidden,)), path, s)
     return modelled_size(stage.view(hidden), path.effect, path.values(s))
 
 
