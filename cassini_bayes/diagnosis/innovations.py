@@ -29,6 +29,7 @@ from cassini_bayes.effects.effect import Remainder
 SMOOTHED_ROWS: Final = 31
 """Of running means of channels behind slopes: judgement, noise a fifth or less, and half a minute
 is short beside a slew."""
+LEAST_SMOOTHED: Final = 3  # rows: one and its neighbours
 _STEP: Final = 1e-3  # standard normals, for slopes: central differences good to 1e-6
 _WIDE: Final = 1e-12  # N m, the least width of a torque's prior: one that is fixed has none
 
@@ -61,21 +62,26 @@ def thrust_columns(hypothesis: Hypothesis, z: Array, place: int) -> Array:
 
 
 def smoothed(rows: Rows, layout: Layout) -> Rows:
-    """Rows whose rates and wheel rates are running means.
+    """Rows whose rates and wheel rates are running means of the rows about them.
 
     Slopes of the measured momentum with respect to inertias are the channels themselves. With their
-    noise in them any noise could be fitted away, as in the naive likelihood of the residual.
+    noise in them any noise could be fitted away, as in the naive likelihood of the residual. So a
+    row's own noise is in none of its means: of an hour in which a body stands still a 31st of it
+    tells of an inertia that is five standard deviations off.
     """
-    vectors = len(layout.vector)
+    vectors, n = len(layout.vector), len(rows.time_s)
+    if n < LEAST_SMOOTHED:
+        return rows
     scalar = rows.scalar.copy()
-    width = min(SMOOTHED_ROWS, len(rows.time_s))
-    counts = np.convolve(np.ones(len(rows.time_s)), np.ones(width), mode="same")
+    around = np.ones(min(SMOOTHED_ROWS, n - 1 + n % 2))
+    around[len(around) // 2] = 0.0
+    counts = np.convolve(np.ones(n), around, mode="same")
     for place in (
         *range(layout.rate.start, layout.rate.stop),
         *range(layout.wheel.start, layout.wheel.stop),
     ):
         column = scalar[:, place - vectors]
-        scalar[:, place - vectors] = np.convolve(column, np.ones(width), mode="same") / counts
+        scalar[:, place - vectors] = np.convolve(column, around, mode="same") / counts
     return replace(rows, scalar=scalar)
 
 

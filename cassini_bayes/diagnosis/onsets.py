@@ -8,8 +8,8 @@ mean, and M_e what an effect of some size adds to event e, an effect from event 
 
     A = Σ Xₑᵀ Mₑ,   b = Σ Mₑᵀ yₑ − Aᵀ G⁻¹ (Xᵀ y + P m),   I = Σ Mₑᵀ Mₑ − Aᵀ G⁻¹ A,   e ≥ o,
 
-and gains ½ bᵀ I⁻¹ b at most: sums over e ≥ o are cumulative, so all beginnings of all causes cost
-one pass.
+and gains ½ bᵀ (I + S)⁻¹ b at its best size, S what the prior has against the columns' sizes: sums
+over e ≥ o are cumulative, so all beginnings of all causes cost one pass.
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ BEHIND_SHARE: Final = 0.15
 """Of the best gain more, by which linear gains may be off: judgement. Where the best turns out to
 gain less than that, more beginnings are searched for (:meth:`Beginnings.missed`)."""
 MOST: Final = 24  # beginnings searched for at once: judgement, half as many as there are causes
-FLAT: Final = 1e-6  # of I, and of its largest eigenvalue: below, no information
 STEP: Final = 1e-3  # standard normals, for slopes, as in innovations
 
 
@@ -55,8 +54,8 @@ STEP: Final = 1e-3  # standard normals, for slopes, as in innovations
 class Beginnings:
     """Some causes (C,) and the events (E,) that they may begin with, in order of time.
 
-    ``gains`` (C, E) are the most that they gain by their linear model from every event on, and
-    ``factors`` (C, E) its log Bayes factors against none of them, nats.
+    ``gains`` (C, E) are what they gain by their linear model, at their best, from every event on,
+    and ``factors`` (C, E) its log Bayes factors against none of them, nats.
     """
 
     effects: tuple[Effect, ...]
@@ -299,15 +298,16 @@ def sizes_tried(effect: Effect) -> Array:
 
 
 def _gain(matrix: Array, vector: Array) -> float:
-    """½ bᵀ I⁻¹ b of several parameters; of one, that of its best size, which keeps its sign."""
+    """½ bᵀ (I + S)⁻¹ b of several parameters; of one, that of its best size, which keeps its sign.
+
+    Columns are those of sizes z: so many of them cost ½ z² each by the prior, S = diag z². What the
+    events hardly tell would else gain by sizes that nobody believes.
+    """
+    believed = np.repeat(np.square(SIZES), len(vector) // len(SIZES))
     if len(vector) == len(SIZES):
-        along = np.diagonal(matrix)
-        used = along > FLAT
-        gains = 0.5 * np.maximum(vector[used], 0.0) ** 2 / along[used]
-        return float(gains.max(initial=0.0))
-    values, vectors = np.linalg.eigh(matrix)
-    used = values > FLAT * max(1.0, values[-1])
-    return float(0.5 * ((vectors.T @ vector)[used] ** 2 / values[used]).sum())
+        along = np.diagonal(matrix) + believed
+        return float((0.5 * np.maximum(vector, 0.0) ** 2 / along).max())
+    return float(0.5 * vector @ np.linalg.solve(matrix + np.diag(believed), vector))
 
 
 def log_bayes(matrix: Array, vector: Array) -> float:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import kstest
+from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
 from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.diagnosis.balance_case import BalanceCase
@@ -20,6 +21,7 @@ from cassini_bayes.diagnosis.correlations import (
 )
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.innovations import SMOOTHED_ROWS, smoothed
 from cassini_bayes.diagnosis.nuisances import traded
 from cassini_bayes.diagnosis.overlay import cause_part, fit_percent, overlays
 from cassini_bayes.diagnosis.refit import fit_extended
@@ -79,6 +81,22 @@ def curves(leak: bool) -> dict[str, Curve]:
     """Discrepancy curves by event."""
     found = curves_of(case_of(leak).events, verdict(leak).unknown, np.random.default_rng(3))
     return {curve.event: curve for curve in found}
+
+
+def test_a_rows_own_noise_is_in_none_of_its_running_means() -> None:
+    """Of a row that is moved only its neighbours' means move, by a thirtieth of it."""
+    event = event_of(made_up_samples(np.random.default_rng(3), 160), telemetry_priors())
+    rows, layout = event.usable_rows, event.statistics.layout
+    places = range(layout.rate.start, layout.wheel.stop)
+    columns = [p - len(layout.vector) for p in places if p != layout.one]
+    scalar = rows.scalar.copy()
+    scalar[60, columns] += 1.0
+    moved = smoothed(replace(rows, scalar=scalar), layout).scalar - smoothed(rows, layout).scalar
+    wanted = np.zeros(len(scalar))
+    wanted[45:76] = 1.0 / (SMOOTHED_ROWS - 1)
+    wanted[60] = 0.0
+    for column in columns:
+        assert moved[:, column] == pytest.approx(wanted, abs=1e-12)
 
 
 def test_correlations_are_standard_normal_if_the_model_is_true() -> None:

@@ -21,6 +21,7 @@ from cassini_bayes.diagnosis.gain import taught
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.onsets import (
     HALF_NORMAL,
+    LEAST_GAIN,
     SIZES,
     Beginnings,
     information_from_each,
@@ -214,6 +215,18 @@ def test_linear_evidence_of_one_sided_and_of_free_sizes() -> None:
         wanted = np.log(np.trapezoid(likelihood * prior, size))
         found = log_bayes(total * np.outer(at, at), own * at)
         assert found == pytest.approx(wanted, abs=1e-3)
+
+
+def test_what_an_event_hardly_tells_gains_little() -> None:
+    """Sizes of ten prior scales are not believed; control: what it tells well gains as before."""
+    effects = tuple(prepare((), TOTALS_PRIORS, three()).catalogue.effects[:1])
+    at = np.array(SIZES)
+    for total, own, wanted in ((0.01, 0.35, 0.0606), (400.0, 60.0, 4.4888)):
+        one = (total * np.outer(at, at), own * at)
+        odds = Odds(0.5, 0.45, 0.05, 0.5)
+        found = Beginnings.of_information(effects, ("a", "b"), odds, lambda one=one: [one, one])
+        assert found.gains == pytest.approx(np.full((1, 2), wanted), rel=1e-3)
+    assert LEAST_GAIN < 0.5 * 0.35**2 / 0.01
 
 
 def test_only_what_can_matter_is_searched() -> None:
