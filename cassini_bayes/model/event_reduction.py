@@ -279,6 +279,7 @@ def sampling_of(
         corner_rad=8.0 * missed / wheel,
         corner_rad_s=_CORNER_NOISE * np.sqrt(6.0) * noise,
         reference_noise=tuple(priors.medians(NOISE_LEVELS).items()),
+        noise_to_see=tuple(name for name in NOISE_LEVELS if priors.parameters[name].sd > 0.0),
     )
 
 
@@ -300,7 +301,7 @@ def reduce_samples(
     gone.take(samples.on_time_s, samples.pulses)
     start, end = samples.time_s[[0, -1]].tolist()
     reading = ReadingRecord(len(samples), start, end, *gone.gained, mends=())
-    sampling = statistics.counters.seen_by(sampling)
+    sampling = statistics.seen_by(sampling)
     return ReducedEvent(statistics, sampling, reading, rows, "memory", epoch=epoch)
 
 
@@ -355,7 +356,7 @@ def reduce_event(
     statistics, reading = cached or _reduced(
         event, rows, looked.prepared, priors, likely, log, policy
     )
-    sampling = statistics.counters.seen_by(replace(likely, duration_s=statistics.duration_s))
+    sampling = statistics.seen_by(replace(likely, duration_s=statistics.duration_s))
     source = "from the cache" if cached is not None else "reduced"
     blocks = f" (means over {sampling.block_s:g} s: hardly a row is without firing)"
     log(

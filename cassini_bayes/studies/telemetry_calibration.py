@@ -212,6 +212,7 @@ def reduced_simulation(
     counters = known.counters
     prepared = Preparation(
         known.steps,
+        known.noise,
         gaps_s=tuple(counters.gaps_s.tolist()),
         widths_s=tuple(counters.widths_s.tolist()),
     )

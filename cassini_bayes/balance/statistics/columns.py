@@ -111,7 +111,8 @@ class Sampling:
     time of the last row. ``corner_rad`` is what a trapezoid of wheel rates may miss of a turn, in
     rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
-    event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`).
+    event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). Those of
+    ``noise_to_see`` are taken from the event where it shows them (:mod:`.channel_noise`).
     ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`), and
     ``gaps_s`` the times after which close ones follow (without, a control cycle). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
@@ -128,6 +129,7 @@ class Sampling:
     corner_rad: float = np.inf
     corner_rad_s: float = np.inf
     reference_noise: tuple[tuple[str, float], ...] = ()
+    noise_to_see: tuple[str, ...] = ()
     widths_s: tuple[float, ...] = ()
     gaps_s: tuple[float, ...] = ()
     block_s: float = 0.0

@@ -7,11 +7,12 @@ counter changes are kept.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.statistics.channel_noise import channel_noise
 from cassini_bayes.balance.statistics.counters import counter_step, expected_on_times
 from cassini_bayes.balance.statistics.reduction import (
     ChannelSteps,
@@ -73,6 +74,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         How long after its end a pulse may still deliver momentum.
     """
     readings, rates, wheels, looked, end_s = _Readings(), [], [], 0, 0.0
+    first: list[Samples] = []
     complete, at_readings = Thinned(), Thinned()
     for chunk in chunks:
         readings.add(chunk)
@@ -82,27 +84,34 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         if looked < LOOKED_AT:
             rates.append(chunk.rate_rad_s)
             wheels.append(chunk.wheel_rad_s)
+            first.append(chunk.part(0, LOOKED_AT - looked).complete)
             looked += len(chunk)
     steps = ChannelSteps(
         channel_step(np.concatenate(rates)),
         channel_step(np.concatenate(wheels) / RAD_S_PER_RPM) * RAD_S_PER_RPM,
     )
     time, on_time, pulses = readings.around_changes()
+    rows = Samples.joined(first)
     if len(time) == 0:
-        return Prepared(Preparation(steps), time, on_time, end_s)
+        noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
+        return Prepared(Preparation(steps, noise), time, on_time, end_s)
     step_s = counter_step(on_time)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
     widths = _quantiles(single_widths(expected.on_time_s, on_time, pulses))
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
-    quiet = quiet_rows(complete.values, np.r_[time, end_s], counters, guard_s).sum()
+    read = np.r_[time, end_s]
+    quiet = quiet_rows(complete.values, read, counters, guard_s).sum()
+    of_rows = quiet_rows(rows.time_s, read, counters, guard_s)
+    stretch = np.where(of_rows, np.searchsorted(read, rows.time_s), -1)
+    noise = channel_noise(rows, stretch, *astuple(steps))
     late = LateRows()
     if quiet * complete.stride < LEAST_QUIET * len(at_readings.values) * at_readings.stride:
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
-    found = Preparation(steps, expected.rounding, gaps, widths, late)
+    found = Preparation(steps, noise, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, end_s)
 
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.balance.statistics.channel_noise import NOT_SEEN, ChannelNoise
 from cassini_bayes.balance.statistics.columns import (
     Carry,
     Layout,
@@ -41,7 +42,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 13  # raised with every change of what is stored
+_FORMAT: Final = 14  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -70,7 +71,12 @@ class EventStatistics:
     turns: TurnStatistics
     counters: CounterStatistics
     steps: ChannelSteps
+    noise: ChannelNoise
     shown: ShownWheels
+
+    def seen_by(self, sampling: Sampling) -> Sampling:
+        """A sampling with what the event says of its pulses and of the noise of its channels."""
+        return self.noise.seen_by(self.counters.seen_by(sampling))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +193,7 @@ class Preparation:
     """What a first look at an event's telemetry found, for the pass that reduces it."""
 
     steps: ChannelSteps = ChannelSteps()
+    noise: ChannelNoise = NOT_SEEN
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
@@ -359,6 +366,7 @@ def reduce_chunks(
             carry.pairs, times, sampling, by_couple, layout.couples, prepared.late, averaged
         ),
         steps=prepared.steps,
+        noise=prepared.noise,
         shown=ShownWheels(wheels.values),
     )
 
@@ -567,6 +575,7 @@ _PARTS: Final[Mapping[str, Any]] = {
     "turns": TurnStatistics,
     "counters": CounterStatistics,
     "steps": ChannelSteps,
+    "noise": ChannelNoise,
     "shown": ShownWheels,
 }
 

@@ -51,6 +51,12 @@ class Samples:
         )
 
     @property
+    def complete(self) -> Samples:
+        """Rows with attitude, body rates and wheel rates."""
+        kept = self.has_state
+        return Samples(*(getattr(self, field.name)[kept] for field in fields(self)))
+
+    @property
     def has_counters(self) -> Flags:
         """(N,) rows with thruster counters."""
         if self.on_time_s.shape[1] == 0:

@@ -1,0 +1,96 @@
+"""Noise of an event's channels, as differences of their rows show it.
+
+True motion is smooth from row to row as long as nothing fires: rates and wheel rates go in straight
+lines, attitudes in parabolas. What second differences of the former and third ones of the latter
+leave is noise. It is good to some percent and owes nothing to inertia or thrust, so that it says at
+which noise the measure of flat motion is taken (docs/topics/telemetry-likelihood.md §3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.statistics.columns import Sampling, direction_cosines
+from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.turns import turns_between
+from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
+
+SECOND: Final = 6.0  # variance of a second difference over that of a value
+THIRD: Final = 20.0
+LEAST_DIFFERENCES: Final = 30  # judgement: a noise level from these is good to a fifth
+OUTLYING: Final = 4.0  # standard deviations: corners of the motion, and hardly any noise
+NORMAL_MEDIAN: Final = 0.6745  # of the size of a standard normal
+_SAME_S: Final = 1e-6  # times closer than this are the same
+
+
+@dataclass(frozen=True)
+class ChannelNoise:
+    """Standard deviations of the white noise of channels without rounding; 0 where not seen."""
+
+    rate_rad_s: float = 0.0
+    wheel_rpm: float = 0.0
+    attitude_rad: float = 0.0
+
+    def seen_by(self, sampling: Sampling) -> Sampling:
+        """The sampling with these as its reference noise, where the priors do not know it."""
+        seen = {
+            "rate_noise_rad_s": self.rate_rad_s,
+            "wheel_noise_rpm": self.wheel_rpm,
+            "attitude_noise_rad": self.attitude_rad,
+        }
+        seen = {name: seen[name] for name in sampling.noise_to_see if seen.get(name, 0.0) > 0.0}
+        reference = tuple((dict(sampling.reference_noise) | seen).items())
+        return replace(sampling, reference_noise=reference)
+
+
+NOT_SEEN: Final = ChannelNoise()
+
+
+def channel_noise(
+    samples: Samples, stretch: Places, rate_step_rad_s: float, wheel_step_rad_s: float
+) -> ChannelNoise:
+    """Noise levels of complete rows that follow each other at the usual step.
+
+    Parameters
+    ----------
+    samples
+        N rows.
+    stretch
+        (N,) number of the stretch without firing that a row is in, -1 in none.
+    rate_step_rad_s, wheel_step_rad_s
+        Least steps of both channels, whose rounding is taken off.
+    """
+    gap = np.diff(samples.time_s)
+    if len(gap) < LEAST_DIFFERENCES:
+        return NOT_SEEN
+    even = np.abs(gap - np.median(gap)) < _SAME_S
+    quiet = even & (stretch[1:] == stretch[:-1]) & (stretch[1:] >= 0)
+    turns = turns_between(direction_cosines(samples.attitude))
+    rates = np.diff(samples.rate_rad_s, 2, axis=0)[quiet[1:] & quiet[:-1]]
+    wheels = np.diff(samples.wheel_rad_s, 2, axis=0)[even[1:] & even[:-1]]
+    angles = np.diff(turns, 2, axis=0)[quiet[2:] & quiet[1:-1] & quiet[:-2]]
+    of_wheels = _noise(wheels, SECOND, wheel_step_rad_s)
+    return ChannelNoise(
+        _noise(rates, SECOND, rate_step_rad_s),
+        of_wheels / RAD_S_PER_RPM,
+        _noise(angles, THIRD, 0.0),
+    )
+
+
+def _noise(differences: Array, order: float, step: float) -> float:
+    """Noise of values whose differences (n, c) have ``order`` times its variance.
+
+    The rounding of ``step`` is taken off. Outlying differences are corners of the motion; of fewer
+    than thirty nothing is said.
+    """
+    if len(differences) < LEAST_DIFFERENCES:
+        return 0.0
+    size = np.abs(differences)
+    bound = OUTLYING * np.maximum(np.median(size, axis=0) / NORMAL_MEDIAN, step)
+    kept = np.where(size <= bound, size, np.nan)
+    square = float(np.nanmean(kept**2)) / order - step**2 / 12.0
+    return float(np.sqrt(max(square, 0.0)))
