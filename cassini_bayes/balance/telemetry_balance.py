@@ -408,7 +408,7 @@ def _late(statistics: EventStatistics, sampling: Sampling) -> LatePulses | None:
     counters = statistics.counters
     if not counters.has_late_pulses:
         return None
-    of_pulse = (sampling.pulse_shape, sampling.pulse_reference_s, sampling.guard_s)
+    of_pulse = (sampling.pulse_shape, sampling.pulse_reference_s)
     return late_pulses(*of_pulse, counters.late_width_s, counters.late_rate_hz)
 
 

@@ -18,11 +18,13 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.pulses import PulseShape
 
-AGES: Final = 501  # of a pulse that moments are integrated over: right to 1e-3
+AGES: Final = 251  # of a running pulse that moments are integrated over, and of a tail
+TAIL: Final = 8.0  # time constants after which nothing is left of a tail: right to 1e-3
 # Multiples of the reference time constants at which moments are fitted, and their powers: what
-# priors allow, right to half a percent.
+# priors allow, right to half a percent, and of tails what a doubted one may be. (Moments of an
+# exponential tail are such powers of its time constant.)
 _RISES: Final = np.linspace(0.6, 1.4, 5)
-_FALLS: Final = np.linspace(0.2, 2.0, 7)
+_FALLS: Final = np.linspace(0.2, 6.0, 7)
 _POWERS: Final = [(i, j) for i in range(3) for j in range(4)]
 
 
@@ -55,11 +57,7 @@ class LatePulses:
 
 
 def late_pulses(
-    shape: PulseShape,
-    tau_s: tuple[float, float, float],
-    guard_s: float,
-    width_s: float,
-    rate_hz: Array,
+    shape: PulseShape, tau_s: tuple[float, float, float], width_s: float, rate_hz: Array
 ) -> LatePulses:
     """Moments of what is late, of pulses of their mean width.
 
@@ -71,13 +69,15 @@ def late_pulses(
     ----------
     shape, tau_s
         Pulse shape and τ_delay, τ_rise, τ_fall of the reference.
-    guard_s
-        How long after its end a pulse may still deliver momentum.
+    width_s, rate_hz
+        Mean width of pulses, and how many every couple (G,) begins per second.
     """
     delay, rise, fall = tau_s
     rises, falls = (each.ravel() for each in np.meshgrid(rise * _RISES, fall * _FALLS))
     taus = delay, rises[:, None], falls[:, None]
-    age = np.linspace(0.0, width_s + guard_s, AGES)
+    running = np.broadcast_to(np.linspace(0.0, width_s + delay, AGES), (len(falls), AGES))
+    tail = width_s + delay + falls[:, None] * np.linspace(0.0, TAIL, AGES)[1:]
+    age = np.concatenate([running, tail], axis=1)
     thrust = shape.thrust_fraction(age, width_s, *taus)
     delivered = cumulative_trapezoid(thrust, age, axis=1, initial=0.0)
     late = np.minimum(age - width_s, 0.0) + shape.effective_time(width_s, *taus) - delivered
