@@ -51,7 +51,7 @@ class Physics:
     arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
-    late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows
+    late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows, or cut there
     thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
     impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque

@@ -220,6 +220,8 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     """Torques of couples, what pairs scatter, and weights of pulse columns.
 
     Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
+    Where rows have late pulses, thrusters fire all the time and answer what was cut as they answer
+    what is late: what pairs scatter has the factor that is inferred of the latter.
     """
     n = len(physics.inertia_kg_m2)
     if not event.fires:
@@ -228,10 +230,11 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
+    lost = lost_tails(gaps, rise, fall, share)
+    if event.late is not None:
+        lost = lost._replace(variance_s2=physics.late_factor * lost.variance_s2)
     return OpenScales(
-        couple_torques(event, physics),
-        lost_tails(gaps, rise, fall, share),
-        np.broadcast_to(pulse, (n, pulse.shape[-1])),
+        couple_torques(event, physics), lost, np.broadcast_to(pulse, (n, pulse.shape[-1]))
     )
 
 

@@ -20,6 +20,7 @@ from cassini_bayes.balance.statistics.late import late_pulses
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import prepare as prepare_diagnosis
 from cassini_bayes.errors import InputError
@@ -203,6 +204,25 @@ def test_the_slope_at_the_truth_is_zero_where_pulses_are_late(
     assert abs(np.mean([slopes(*flight) for flight in flights])) < 0.8
     monkeypatch.setattr(cassini_bayes.balance.flat_motion, "_log_size", by_body)
     assert np.mean([slopes(*flight) for flight in flights]) > 1.0
+
+
+def test_what_is_cut_scatters_by_the_factor_of_what_is_late() -> None:
+    """Twice the factor is twice the variance of cut tails, and their mean as it was.
+
+    In events with rows between firings the factor says nothing.
+    """
+    event, _, condition = ceaseless_flight(3)
+    priors = beliefs_under(condition, ROOT / "priors")
+    model = build_model([reduced_simulation(event, priors)], priors)
+    (term,) = model.telemetry
+    physics = term.physics(model.points(np.zeros((2, model.space.dimension))))
+    factors = replace(physics, late_factor=np.array([1.0, 2.0]))
+    late = open_scales(term.balance, factors).lost
+    settled = open_scales(replace(term.balance, late=None), factors).lost
+    assert late.variance_s2[1] == pytest.approx(2.0 * late.variance_s2[0])
+    assert late.variance_s2[0] == pytest.approx(settled.variance_s2[0])
+    assert late.mean_s[1] == late.mean_s[0]
+    assert settled.variance_s2[1] == settled.variance_s2[0] > 0.0
 
 
 def test_late_records_are_not_weighed_where_pulses_are_late() -> None:
