@@ -220,8 +220,8 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     """Torques of couples, what pairs scatter, and weights of pulse columns.
 
     Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
-    Where rows have late pulses, thrusters fire all the time and answer what was cut as they answer
-    what is late: what pairs scatter has the factor that is inferred of the latter.
+    Where rows have late pulses, what pairs scatter has the factor that is inferred of what is late:
+    of thrusters that fire all the time pairs are no independent draws.
     """
     n = len(physics.inertia_kg_m2)
     if not event.fires:
