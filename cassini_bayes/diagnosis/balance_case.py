@@ -15,7 +15,15 @@ from cassini_bayes.balance.linearised import EventRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import Case, Discrepancies, Ranking, Size, Weighed, Work
+from cassini_bayes.diagnosis.case import (
+    Case,
+    Discrepancies,
+    Fits,
+    Ranking,
+    Size,
+    Weighed,
+    Work,
+)
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
@@ -28,7 +36,7 @@ from cassini_bayes.diagnosis.evidence import (
     weigh_extensions,
     with_draws,
 )
-from cassini_bayes.diagnosis.gain import held_out
+from cassini_bayes.diagnosis.gain import fits_to_hold_out, held_out
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
     compact,
@@ -288,11 +296,23 @@ class BalanceCase(Case[Hypothesis]):
         """As an ordinary model (:mod:`.refit`)."""
         return fit_extended(weighed, folder, seed, log, store=store)
 
+    def fits_to_hold_out(
+        self, weighed: Candidate, log: Log = silent
+    ) -> Sequence[Callable[[], Fits]]:
+        """To all events, and to all but each."""
+        return fits_to_hold_out(self.events, weighed, log)
+
     def held_out(
-        self, weighed: Candidate, rng: np.random.Generator, log: Log = silent
+        self,
+        weighed: Candidate,
+        rng: np.random.Generator,
+        log: Log = silent,
+        fits: Sequence[Fits] | None = None,
     ) -> HeldOut | None:
         """Telemetry events or totals rows (:mod:`cassini_bayes.diagnosis.gain`)."""
-        return held_out(self.events, weighed, rng, log)
+        if fits is None:
+            fits = [fit() for fit in self.fits_to_hold_out(weighed, log)]
+        return held_out(self.events, weighed, rng, fits)
 
     def examined(self, weighed: Candidate) -> Candidate:
         """With what a cause leaves of telemetry."""

@@ -29,6 +29,8 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.warmstart import Proposal
 
 Work = Callable[[], Any]
+Fits = tuple[Mode, ...]
+"""Modes of the ways in which a hypothesis may begin, by some of the events."""
 NONE: Final = "none"
 UNKNOWN: Final = "unknown"
 LEAST_SHARE: Final = 1e-3
@@ -268,11 +270,25 @@ class Case(ABC, Generic[H]):
         del weighed, folder, seed, log, store
         raise InputError("--then-fit", "telemetry or totals", "data of another kind", "drop it")
 
+    def fits_to_hold_out(
+        self, weighed: Weighed[H], log: Log = silent
+    ) -> Sequence[Callable[[], Fits]]:
+        """Pieces of work whose results :meth:`held_out` takes, where these are most of it."""
+        del weighed, log
+        return ()
+
     @abstractmethod
     def held_out(
-        self, weighed: Weighed[H], rng: np.random.Generator, log: Log = silent
+        self,
+        weighed: Weighed[H],
+        rng: np.random.Generator,
+        log: Log = silent,
+        fits: Sequence[Fits] | None = None,
     ) -> HeldOut | None:
-        """Scores of everything left out in turn; None where there is too little."""
+        """Scores of everything left out in turn; None where there is too little.
+
+        ``fits`` are the results of :meth:`fits_to_hold_out`, worked out here if they are not given.
+        """
 
     @abstractmethod
     def rmse(self, weighed: Weighed[H]) -> float | None:

@@ -6,12 +6,22 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain, islice
 from typing import Any, Final, Generic
 
 import numpy as np
 
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import UNKNOWN, Case, Discrepancies, H, Size, Weighed, Work
+from cassini_bayes.diagnosis.case import (
+    UNKNOWN,
+    Case,
+    Discrepancies,
+    Fits,
+    H,
+    Size,
+    Weighed,
+    Work,
+)
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
@@ -83,8 +93,8 @@ def diagnose(
     log
         Told how far it got.
     workers
-        Share out causes and measures and keep what is finished, all but what figures show; the
-        result does not depend on them.
+        Share out causes, fits without an event and measures, and keep what is finished, all but
+        what figures show; the result does not depend on them.
     """
     at_start = deepcopy(rng)
     verdict = weigh(case, rng, pairs=pairs, log=log, workers=workers)
@@ -99,9 +109,13 @@ def diagnose(
         for part in range(PARTS)
     }
     if measure_gain:
-        work["baseline score"] = partial(case.held_out, none, of_baseline, log)
+        # the baseline first: where a cause is named it bends, and its fits take longest
+        scored = {"baseline score": (none, of_baseline)}
         if extended is not none:
-            work["score"] = partial(case.held_out, extended, of_extended, log)
+            scored["score"] = (extended, of_extended)
+        fits = _fits_to_hold_out(case, [w for w, _ in scored.values()], log, workers)
+        for (name, (weighed, own)), given in zip(scored.items(), fits, strict=True):
+            work[name] = partial(case.held_out, weighed, own, log, given)
     for width in WIDTHS:
         work[f"width {width:g}"] = partial(case.scores_at, width, verdict, deepcopy(at_start))
     work["by width"] = partial(case.by_width, verdict, of_widths)
@@ -132,6 +146,15 @@ def diagnose(
         tuple(measured["curves"]),
         tuple(measured.get("drafts", ())),
     )
+
+
+def _fits_to_hold_out(
+    case: Case[H], scored: Sequence[Weighed[H]], log: Log, workers: StageRunner
+) -> list[list[Fits]]:
+    """What holding out takes, for each of some hypotheses: all of it in one stage."""
+    pieces = [case.fits_to_hold_out(weighed, log) for weighed in scored]
+    results = iter(workers.results("fits without an event", list(chain(*pieces)), Fits))
+    return [list(islice(results, len(own))) for own in pieces]
 
 
 def _record(

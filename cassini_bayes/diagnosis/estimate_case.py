@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import Case, Ranking, Size, Weighed
+from cassini_bayes.diagnosis.case import Case, Fits, Ranking, Size, Weighed
 from cassini_bayes.diagnosis.estimates import EstimateHypothesis, Estimates, Prediction
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import LEAST_PIECES, HeldOut
@@ -178,9 +178,11 @@ class EstimateCase(Case[EstimateHypothesis]):
         weighed: Candidate,
         rng: np.random.Generator,
         log: Log = silent,
+        fits: Sequence[Fits] | None = None,
         draws: int = LEFT_OUT_DRAWS,
     ) -> HeldOut | None:
         """Every estimate left out in turn: log Z(all) − log Z(others), and what it misses by."""
+        del fits
         hypothesis = weighed.hypothesis
         if len(self.estimate_n) < LEAST_PIECES:
             return None

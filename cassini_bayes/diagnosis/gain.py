@@ -11,8 +11,9 @@ is predicted by the mean of both.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from scipy.special import logsumexp
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.diagnosis.case import UNKNOWN, Weighed
+from cassini_bayes.diagnosis.case import UNKNOWN, Fits, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
@@ -44,72 +45,129 @@ FIRST_SHARE: Final = 0.1
 DRAWS: Final = 400  # that predict a totals row: their mean is good to a twentieth of their spread
 
 
-def held_out(
-    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
-) -> HeldOut | None:
-    """Telemetry events or totals rows held out in turn; None for few of them and for a mix.
+def fits_to_hold_out(
+    events: Events, weighed: Weighed[Hypothesis], log: Log = silent
+) -> list[Callable[[], Fits]]:
+    """Pieces of work whose results :func:`held_out` takes: fits to all events, and without each.
 
-    ``rng`` is for the posterior draws that predict totals rows.
+    They are nearly all that it costs, and none depends on another. None for few events and for a
+    mix of telemetry and totals, of which nothing is held out.
     """
-    if not events.rows and len(events.telemetry) >= LEAST_PIECES:
-        return held_out_telemetry(events, weighed, log)
-    if not events.telemetry and len(events.rows) >= LEAST_PIECES:
-        return held_out_totals(events, weighed, rng, log)
-    return None
+    if (events.rows and events.telemetry) or len(events.ids) < LEAST_PIECES:
+        return []
+
+    def without(event: str) -> Fits:
+        fits = fits_without(events, weighed, event)
+        log(f"{weighed.name}: {event} held out")
+        return fits
+
+    return [
+        partial(fits_to_all, events, weighed),
+        *(partial(without, event) for event in longest_first(events)),
+    ]
+
+
+def longest_first(events: Events) -> list[str]:
+    """Ids of events, in the order in which fits without them are worked out.
+
+    Without an event of many rows the mode moves far, and the fit takes long.
+    """
+    rows = {event.id: len(event.usable_rows.time_s) for event in events.telemetry}
+    return sorted(events.ids, key=lambda name: -rows.get(name, 1))
+
+
+def held_out(
+    events: Events,
+    weighed: Weighed[Hypothesis],
+    rng: np.random.Generator,
+    fits: Sequence[Fits],
+) -> HeldOut | None:
+    """Telemetry events or totals rows held out in turn; None where there are no fits.
+
+    ``fits`` are the results of :func:`fits_to_hold_out`, ``rng`` is for the posterior draws that
+    predict totals rows.
+    """
+    if not fits:
+        return None
+    if events.telemetry:
+        return held_out_telemetry(events, weighed, fits)
+    return held_out_totals(events, weighed, rng, fits)
+
+
+def _by_event(events: Events, fits: Sequence[Fits]) -> dict[str, Fits]:
+    """Fits without an event, by its id, from the results of :func:`fits_to_hold_out`."""
+    return dict(zip(longest_first(events), fits[1:], strict=True))
 
 
 @dataclass(frozen=True)
 class Taught:
     """One way in which a hypothesis begins, by all events but one.
 
-    ``score`` is the log of its prior share times its evidence by these events, ``hypothesis`` and
-    ``mode`` are those of its fit to them. ``whole`` is it on all events, ``centre`` (d,) its mode
-    there.
+    ``score`` is the log of its prior share times its evidence by these events, ``mode`` that of its
+    fit to them. ``member`` is what was fitted, with its mode on all events, ``whole`` the
+    hypothesis on all events.
     """
 
     score: float
-    hypothesis: Hypothesis
     mode: Mode
+    member: Weighed[Hypothesis]
     whole: Hypothesis
-    centre: Array
 
 
-def taught(events: Events, weighed: Weighed[Hypothesis], event: str) -> list[Taught]:
-    """Every way in which a hypothesis may begin, fitted to the events but one.
-
-    Beginnings that differ only in whether the cause acts in that event share a fit.
-    """
-    others = events.without(event)
+def taught(events: Events, weighed: Weighed[Hypothesis], event: str, fits: Fits) -> list[Taught]:
+    """Every way in which a hypothesis may begin, by its fits to the events but one."""
     if not weighed.beginnings:
-        hypothesis, mode = fitted_to(others, weighed)
-        own = weighed.hypothesis
-        return [Taught(mode.log_evidence, hypothesis, mode, own, weighed.mode.point)]
-    order = events.in_order
+        (mode,) = fits
+        return [Taught(mode.log_evidence, mode, weighed, weighed.hypothesis)]
+    ways, order = ways_without(events, weighed, event), events.in_order
+    modes = dict(zip(dict.fromkeys(id(member) for _, member in ways), fits, strict=True))
     shares = events.catalogue.odds.of_onsets(len(order))
-    fits: dict[int, tuple[Hypothesis, Mode]] = {}
     result = []
-    for first, member in without_event(weighed, order, event):
-        if id(member) not in fits:
-            fits[id(member)] = fitted_to(others, member)
-        hypothesis, mode = fits[id(member)]
-        whole = member.hypothesis
+    for first, member in ways:
+        mode, whole = modes[id(member)], member.hypothesis
         if whole.effects[-1].acts_in(event) != (event in order[first:]):
             *before, last = whole.effects
             onset = (None, *onsets(order))[first]
             whole = built(events, member.name, (*before, replace(last, onset=onset)))
         score = mode.log_evidence + float(np.log(shares[first]))
-        result.append(Taught(score, hypothesis, mode, whole, member.mode.point))
+        result.append(Taught(score, mode, member, whole))
     return result
 
 
-def by_all(events: Events, weighed: Weighed[Hypothesis]) -> float:
-    """Log evidence by all events, whole curvatures taken where they are not, over beginnings."""
+def ways_without(
+    events: Events, weighed: Weighed[Hypothesis], event: str
+) -> list[tuple[int, Weighed[Hypothesis]]]:
+    """Ways in which a hypothesis may begin by all events but one (:func:`without_event`)."""
     if not weighed.beginnings:
-        mode = weighed.mode
-        return mode.log_evidence if mode.is_whole else fitted_to(events, weighed)[1].log_evidence
+        return [(0, weighed)]
+    return without_event(weighed, events.in_order, event)
+
+
+def fits_without(events: Events, weighed: Weighed[Hypothesis], event: str) -> Fits:
+    """Modes by the events but one, of every way in which a hypothesis may begin by these.
+
+    Beginnings that differ only in whether the cause acts in that event share one.
+    """
+    members = {id(member): member for _, member in ways_without(events, weighed, event)}
+    others = events.without(event)
+    return tuple(fitted_to(others, member) for member in members.values())
+
+
+def fits_to_all(events: Events, weighed: Weighed[Hypothesis]) -> Fits:
+    """Modes by all events, whole curvatures taken where they are not, of every beginning."""
+    ways = [way for _, _, way in weighed.searched] if weighed.beginnings else [weighed]
+    return tuple(way.mode if way.mode.is_whole else fitted_to(events, way) for way in ways)
+
+
+def by_all(events: Events, weighed: Weighed[Hypothesis], fits: Fits) -> float:
+    """Log evidence by all events, summed over beginnings, from :func:`fits_to_all`."""
+    if not weighed.beginnings:
+        (mode,) = fits
+        return mode.log_evidence
     order = events.in_order
     shares = dict(zip(("", *order[1:]), events.catalogue.odds.of_onsets(len(order)), strict=True))
-    each = [by_all(events, way) + np.log(shares[name]) for name, _, way in weighed.searched]
+    begins = [name for name, _, _ in weighed.searched]
+    each = [m.log_evidence + np.log(shares[name]) for name, m in zip(begins, fits, strict=True)]
     return float(logsumexp(each))
 
 
@@ -120,13 +178,18 @@ def built(events: Events, name: str, effects: Sequence[Effect]) -> Hypothesis:
     return compact(extend(full, effects) if effects else full)
 
 
-def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Hypothesis, Mode]:
-    """A weighed hypothesis and its mode on other events, such as those with one left out."""
-    hypothesis = built(events, weighed.name, weighed.hypothesis.effects)
+def on_events(events: Events, weighed: Weighed[Hypothesis]) -> Hypothesis:
+    """A weighed hypothesis on other events, such as those with one left out."""
+    return built(events, weighed.name, weighed.hypothesis.effects)
+
+
+def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> Mode:
+    """The mode of a weighed hypothesis on other events (:func:`on_events`)."""
+    hypothesis = on_events(events, weighed)
     density = hypothesis.log_density
     start = carried_over(weighed.mode, weighed.hypothesis, hypothesis)
     point = maximise(density, start.point, start.factor)
-    return hypothesis, mode_near(density, point, start.factor)
+    return mode_near(density, point, start.factor)
 
 
 def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
@@ -140,22 +203,24 @@ def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
     return Mode(point, factor, float("nan"))
 
 
-def held_out_telemetry(events: Events, weighed: Weighed[Hypothesis], log: Log = silent) -> HeldOut:
-    """Every telemetry event held out in turn."""
-    whole = by_all(events, weighed)
+def held_out_telemetry(
+    events: Events, weighed: Weighed[Hypothesis], fits: Sequence[Fits]
+) -> HeldOut:
+    """Every telemetry event held out in turn, by the results of :func:`fits_to_hold_out`."""
+    whole, without = by_all(events, weighed, fits[0]), _by_event(events, fits)
     known: dict[tuple[str, ...], tuple[Linear, list[Array]]] = {}
     scores, residuals, inside = [], [], []
     for place, event in enumerate(events.telemetry):
-        ways = taught(events, weighed, event.id)
-        log(f"{weighed.name}: {event.id} held out")
+        ways = taught(events, weighed, event.id, without[event.id])
         scores.append(whole - float(logsumexp([way.score for way in ways])))
         predicted = []
         for way in ways:
             begins = tuple(str(effect.onset) for effect in way.whole.effects)
+            centre = way.member.mode.point
             if begins not in known:
-                known[begins] = linearise(way.whole, way.centre)
+                known[begins] = linearise(way.whole, centre)
             linear, factors = known[begins]
-            predicted.append((*predicted_rows(linear, place, -way.centre), factors[place]))
+            predicted.append((*predicted_rows(linear, place, -centre), factors[place]))
         white, spread, factor = averaged(ways, predicted)
         residuals.append((white.reshape(-1, 3) @ factor.T).ravel())
         inside.append(np.abs(white) < WITHIN * spread)
@@ -208,16 +273,22 @@ def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Ar
 
 
 def held_out_totals(
-    events: Events, weighed: Weighed[Hypothesis], rng: np.random.Generator, log: Log = silent
+    events: Events,
+    weighed: Weighed[Hypothesis],
+    rng: np.random.Generator,
+    fits: Sequence[Fits],
 ) -> HeldOut:
-    """Every totals row held out in turn."""
-    whole = by_all(events, weighed)
+    """Every totals row held out in turn, by the results of :func:`fits_to_hold_out`."""
+    whole, without = by_all(events, weighed, fits[0]), _by_event(events, fits)
     scores, residuals, inside = [], [], []
     for place, row in enumerate(events.rows):
-        log(f"{weighed.name}: {row.id} held out")
-        ways = taught(events, weighed, row.id)
+        ways = taught(events, weighed, row.id, without[row.id])
         scores.append(whole - float(logsumexp([way.score for way in ways])))
-        each = [predicted_balance(w.whole, place, w.hypothesis, w.mode, rng) for w in ways]
+        others = events.without(row.id)
+        each = [
+            predicted_balance(way.whole, place, on_events(others, way.member), way.mode, rng)
+            for way in ways
+        ]
         residual, sd, _ = averaged(ways, [(mean, spread, np.eye(3)) for mean, spread in each])
         residuals.append(residual)
         inside.append(np.abs(residual) < WITHIN * sd)

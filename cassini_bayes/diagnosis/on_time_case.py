@@ -22,6 +22,7 @@ from cassini_bayes.diagnosis.case import (
     NONE,
     UNKNOWN,
     Case,
+    Fits,
     Ranking,
     Size,
     Weighed,
@@ -243,9 +244,14 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         return values, weights
 
     def held_out(
-        self, weighed: Candidate, _: np.random.Generator, log: Log = silent
+        self,
+        weighed: Candidate,
+        _: np.random.Generator,
+        log: Log = silent,
+        fits: Sequence[Fits] | None = None,
     ) -> HeldOut | None:
         """Every event predicted from the others."""
+        del fits
         y = self.data.printed_s
         if len(y) < LEAST_PIECES:
             return None

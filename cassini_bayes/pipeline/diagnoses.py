@@ -254,9 +254,9 @@ def diagnose(
     seed
         Same seed and inputs, same verdict.
     folder
-        Where to write the record, tables, figures and page, and to keep every search, lot of draws
-        and measure as soon as it is finished; then events and priors are named by path. Nothing is
-        written without it.
+        Where to write the record, tables, figures and page, and to keep every search, lot of
+        draws, fit without an event and measure as soon as it is finished; then events and priors
+        are named by path. Nothing is written without it.
     force, resume
         With ``folder``: replace an earlier diagnosis; go on with one that was stopped. What it
         finds is bit by bit what it would have found without the stop.

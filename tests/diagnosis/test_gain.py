@@ -1,6 +1,7 @@
 """Held-out gain: there where one cause acts in all events, gone where effects are shuffled.
 
-Scores of totals rows against importance sampling, and of a row that does not belong.
+Scores of totals rows against importance sampling, and of a row that does not belong. Fits shared
+out among processes, stored and read back give the same scores as those made in one.
 """
 
 from __future__ import annotations
@@ -16,15 +17,23 @@ import pytest
 from event_cases import eased
 
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.case import Fits, Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.evidence import by_laplace
-from cassini_bayes.diagnosis.gain import held_out_telemetry, held_out_totals
-from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.gain import (
+    fits_to_hold_out,
+    held_out_telemetry,
+    held_out_totals,
+    longest_first,
+)
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
+from cassini_bayes.diagnosis.stages import StageRunner
+from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.events.totals import TotalsEvent, read_totals
+from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.posterior import build_model, log_posterior
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.diagnosis_verdict import gain_sentence
@@ -62,6 +71,11 @@ def leaking(thrusters: Mapping[str, str]) -> Events:
     return reduced(simulation, priors())
 
 
+def one_by_one(events: Events, weighed: Weighed[Hypothesis]) -> list[Fits]:
+    """The fits that holding out takes, all in this process."""
+    return [fit() for fit in fits_to_hold_out(events, weighed)]
+
+
 def leak_scores(events: Events) -> tuple[HeldOut, HeldOut]:
     """Events held out without and with a leak of Z3 in the model."""
     leak = events.catalogue.effect("thruster_leak:z3")
@@ -69,7 +83,8 @@ def leak_scores(events: Events) -> tuple[HeldOut, HeldOut]:
     full = none_hypothesis(only)
     models = [compact(full), compact(extend(full, [leak]))]
     none, own = (by_laplace(m, find_mode(m.log_density, m.dimension)) for m in models)
-    return held_out_telemetry(only, none), held_out_telemetry(only, own)
+    base, extended = (held_out_telemetry(only, w, one_by_one(only, w)) for w in (none, own))
+    return base, extended
 
 
 def test_gain_is_there_and_vanishes_when_effects_are_shuffled() -> None:
@@ -96,7 +111,7 @@ def scored(rows: tuple[TotalsEvent, ...]) -> HeldOut:
     d = none.dimension
     # searches start from the mode, so the prior's own does
     weighed = Weighed(none, Mode(np.zeros(d), 0.05 * np.eye(d), 0.0), 0.0, 0.0)
-    return held_out_totals(events, weighed, np.random.default_rng(1))
+    return held_out_totals(events, weighed, np.random.default_rng(1), one_by_one(events, weighed))
 
 
 def sampled(rows: tuple[TotalsEvent, ...]) -> float:
@@ -144,3 +159,54 @@ def test_a_diagnosis_holds_its_rows_out(has_rows: bool) -> None:
         assert record["baseline"]["elpd"] == pytest.approx(plain().elpd, abs=0.05)
         assert record["baseline"]["heldout_rmse_nms"] == pytest.approx(plain().rmse, rel=0.1)
     assert ("not a mix" in gain_sentence(record)) != has_rows
+
+
+@cache
+def five() -> tuple[BalanceCase, Verdict[Hypothesis]]:
+    """Five flight biases, the thrust of the last two a tenth lower: a cause with an onset."""
+    rows = read_totals(str(FLIGHT), TOTALS_PRIORS.spacecraft, "flight")[:5]
+    late = (replace(row, on_time_s=1.1 * row.on_time_s) for row in rows[3:])
+    events = prepare((), TOTALS_PRIORS, (*rows[:3], *late))
+    few = replace(events.catalogue, effects=(events.catalogue.effect("thrust_scale"),))
+    case = BalanceCase(replace(events, catalogue=few))
+    return case, weigh(case, np.random.default_rng(3), pairs=False)
+
+
+@cache
+def whole_score(name: str) -> HeldOut:
+    """A hypothesis's scores of the five, all worked out in this process."""
+    case, verdict = five()
+    score = case.held_out(verdict.named(name), np.random.default_rng(1))
+    assert score is not None
+    return score
+
+
+def test_a_cause_of_the_five_may_begin_with_several() -> None:
+    """What is shared between beginnings is shared in their fits."""
+    _, verdict = five()
+    assert len(verdict.named("thrust_scale").searched) > 1
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("name", ["none", "thrust_scale"])
+def test_scores_by_pieces_are_those_of_the_whole(name: str, processes: int, tmp_path: Path) -> None:
+    """Each fit a piece of its own, shared out, kept, and read back where they are all there."""
+    case, verdict = five()
+    weighed, whole = verdict.named(name), whole_score(name)
+    for _ in range(2):
+        crew = StageRunner(processes, CheckpointStore(tmp_path, "own"))
+        fits = crew.results("", case.fits_to_hold_out(weighed), Fits)
+        found = case.held_out(weighed, np.random.default_rng(1), fits=fits)
+        assert found is not None
+        np.testing.assert_array_equal(found.log_scores, whole.log_scores)
+        assert (found.rmse, found.coverage_90) == (whole.rmse, whole.coverage_90)
+
+
+def test_fits_without_a_long_event_come_first() -> None:
+    """By rows of telemetry; totals rows, which are all alike, stay in their order."""
+    events = leaking({})
+    lengths = {event.id: len(event.usable_rows.time_s) for event in events.telemetry}
+    found = [lengths[name] for name in longest_first(events)]
+    assert found == sorted(lengths.values(), reverse=True)
+    case, _ = five()
+    assert longest_first(case.events) == list(case.event_ids)

@@ -17,7 +17,7 @@ from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.events import Events, prepare
-from cassini_bayes.diagnosis.gain import taught
+from cassini_bayes.diagnosis.gain import fits_without, taught
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.onsets import (
     HALF_NORMAL,
@@ -114,13 +114,16 @@ def test_its_record_and_its_words_say_when() -> None:
 def test_an_event_beside_the_onset_is_predicted_by_both_sides() -> None:
     """Without the fourth bias the others cannot tell whether the loss is there: half and half.
 
-    Without another event they can.
+    One fit to them is enough for both. Without another event they can.
     """
     events, verdict = late()
-    ways = taught(events, verdict.best, "bias-4")
+    fits = fits_without(events, verdict.best, "bias-4")
+    assert len(fits) == 1
+    ways = taught(events, verdict.best, "bias-4", fits)
     assert [way.whole.effects[-1].acts_in("bias-4") for way in ways] == [True, False]
     assert ways[0].score == pytest.approx(ways[1].score)
-    assert len(taught(events, verdict.best, "bias-2")) == 1
+    of_others = fits_without(events, verdict.best, "bias-2")
+    assert len(taught(events, verdict.best, "bias-2", of_others)) == 1
     alone = ways[0].mode.log_evidence + np.log(0.1)
     assert logsumexp([way.score for way in ways]) == pytest.approx(alone + np.log(2.0))
 
