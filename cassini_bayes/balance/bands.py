@@ -29,6 +29,9 @@ from cassini_bayes.computing.arrays import Array
 Result = TypeVar("Result")
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
+# Rows with late pulses are tens, and cut tails are nearly all of what is slow in them: a walk, whose
+# squares fall by a hundred from the first of 32 modes to the last.
+LATE_EDGES: Final = (4, 8, 16, 32, 128)
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
 # up: the next ones hold most of what is known of torque noise.
 SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
@@ -152,7 +155,7 @@ def is_sparse(statistics: EventStatistics) -> bool:
 
 def _edges(statistics: EventStatistics, modes: int) -> list[int]:
     """First modes of the bands, and the end of the last."""
-    inner = {*EDGES}
+    inner = {*(LATE_EDGES if statistics.counters.has_late_pulses else EDGES)}
     if is_sparse(statistics):
         places = [int(share * statistics.rows) for share in SPARSE_EDGES]
         inner = {*(edge for edge in EDGES if edge < places[0]), *places}
