@@ -29,7 +29,7 @@ from cassini_bayes.computing.arrays import Array
 Result = TypeVar("Result")
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
-# Rows with late pulses are tens, and cut tails are nearly all of what is slow in them: a walk, whose
+# Rows with late pulses are tens, and cut tails are nearly all of what is slow in them: a walk whose
 # squares fall by a hundred from the first of 32 modes to the last.
 LATE_EDGES: Final = (4, 8, 16, 32, 128)
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
