@@ -366,6 +366,24 @@ def quick_limit_cycle(late_rows: int = 0, factor: float = 1.0) -> Motion:
     return Motion(4.0 * np.arange(750 - late_rows), attitude[: 750 - late_rows], measured[whole])
 
 
+def test_a_body_at_rest_has_no_axes() -> None:
+    """An hour of noise is no rotation of noise; control: a body that moves, by other axes."""
+    rng, rows = np.random.default_rng(2), 3_600
+    time_s = np.arange(float(rows))
+    rates = 2e-5 * rng.standard_normal((rows, 3))
+    turn = 0.5e-5 * rng.standard_normal((rows, 3))
+    resting = turning_of(Motion(time_s, np.column_stack([turn, np.ones(rows)]), rates))
+    assert resting is not None
+    assert resting.misaligned(np.eye(3)) < 0.3 * BY_CHANCE
+    slow = 1e-4 * np.sin(0.01 * time_s[:, None] + np.array([0.0, 1.0, 2.0]))
+    moved = 0.5 * np.cumsum(slow, axis=0) + turn
+    attitude = np.column_stack([moved, np.ones(rows)])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    exchanged = turning_of(Motion(time_s, attitude, slow[:, [1, 0, 2]] + rates))
+    assert exchanged is not None
+    assert exchanged.misaligned(np.eye(3)) > 10.0 * BY_CHANCE
+
+
 def test_attitudes_are_aligned_where_neighbours_know_nothing() -> None:
     """A quick limit cycle: the same interval tells axes, signs and lags; honest, it is chance."""
     honest = turning_of(quick_limit_cycle())

@@ -39,6 +39,7 @@ slower."""
 MOST_JOINED: Final = 8  # rows to a step: 8 s of 1 Hz telemetry
 MOST_LAGS: Final = 20  # intervals either way: the choice costs BY_CHANCE
 BIAS_SIGMAS: Final = 3.0  # of the mean difference: a bias beyond it has a chance of 0.3 %
+NOISE_FREE: Final = 0.5  # of the turning, which rates explain that are no noise: judgement
 BY_CHANCE: Final = 25.0
 """Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 
@@ -91,7 +92,9 @@ class Turning:
         """Twice the logarithm by which other axes, another lag or size fit better, at their best.
 
         Rates are ``rate`` (3, 3) times those recorded. Two readings of the likelihood, the larger
-        counts: rates are as good as free of noise, and only the difference has any; or both have
+        counts: rates are as good as free of noise, and only the difference has any (if the best of
+        them explain half of the turning at least; of a body at rest rates are nothing else, and the
+        best rotation of noise grows with the root of the rows); or both have
         as much as they like, so that Σ y x estimates the power of the motion, which is neither
         negative nor above Σ x² or Σ y². A gyro's misalignment may be physics: as much as it brings
         is noise.
@@ -121,6 +124,7 @@ class Turning:
             yy, xx, moved, same, best = (each[moves] for each in (yy, xx, moved, same, best))
             first = (yy + xx - 2.0 * same) / (yy + xx) + noise
             first /= np.maximum((yy + moved - 2.0 * best) / (yy + moved), 0.0) + noise
+            first = np.where(best**2 > NOISE_FREE * yy * moved, first, 1.0)
             power, small = np.maximum(same, 0.0), np.minimum(xx, yy)
             as_is = np.where(power <= small, yy * xx - power**2, small * (yy + xx - 2.0 * power))
             second = as_is / (yy * xx) + noise
