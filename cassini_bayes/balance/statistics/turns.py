@@ -156,9 +156,12 @@ class WhiteTurns:
         return result[:-1]
 
     def swing_shares(self, frequency_hz: Array, step_s: float) -> Array:
-        """Share (f, 3) of what is not in slopes that noise leaves of a swing, by its square."""
+        """Share (f, 3) that noise leaves of a swing, by its square, but for what slopes have of it.
+
+        Noise of its frequency, summed up by trapezoids Δ long, has Δ/(2 tan π f Δ) of its size.
+        """
         tangent = np.tan(np.pi * np.minimum(frequency_hz * step_s, _NYQUIST))
-        summed_s2 = (0.5 * step_s / tangent) ** 2  # of rows of a period's noise
+        summed_s2 = (0.5 * step_s / tangent) ** 2
         return np.asarray(1.0 / (1.0 + np.multiply.outer(summed_s2, self.ratio_per_s2)))
 
     @property
