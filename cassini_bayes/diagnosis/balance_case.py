@@ -45,9 +45,9 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import innovations
-from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.diagnosis.modes import Mode, find_mode, maximise, mode_near
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
-from cassini_bayes.diagnosis.onsets import Beginnings, gains_about
+from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.refit import fit_extended
@@ -190,7 +190,7 @@ class BalanceCase(Case[Hypothesis]):
             )
             gains = gains_about(full, np.zeros(len(base.point)), causes, events)
             causes = _from_centre(causes, gains, unknown_mode, workers)
-        weighed += causes
+        weighed += _beside_best_beginning(causes, workers)
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
@@ -463,6 +463,33 @@ def _side_by_side(
     results: list[Any] = workers.results(what, work, kinds, arviz)
     first = len(modes) + len(to_find)
     return results[:first], results[first:]
+
+
+def _beside_best_beginning(causes: Sequence[Candidate], workers: StageRunner) -> list[Candidate]:
+    """The causes, other beginnings of the best one searched once more, from its own mode.
+
+    Where the baseline bent, a search from there may end in a valley. Beginnings of one cause are
+    alike, so that the mode of one is near that of another; and the likeliest of a cause that ended
+    in a valley would be that of fewer events.
+    """
+    best = max(causes, key=lambda own: own.net_evidence, default=None)
+    if best is None or not begins_with(best):
+        return list(causes)
+    others = [own for own in causes if own.name == best.name and own is not best]
+    searches = [partial(_mode_from, own.hypothesis, best.mode) for own in others]
+    modes = dict(zip(map(id, others), workers.results("", searches, Mode), strict=True))
+    return [
+        by_laplace(own.hypothesis, modes[id(own)])
+        if id(own) in modes and modes[id(own)].log_evidence > own.log_evidence
+        else own
+        for own in causes
+    ]
+
+
+def _mode_from(hypothesis: Hypothesis, start: Mode) -> Mode:
+    """The mode of a hypothesis near that of another with the same coordinates."""
+    point = maximise(hypothesis.log_density, start.point, start.factor)
+    return mode_near(hypothesis.log_density, point, start.factor)
 
 
 def _is_far_from_prior(mode: Mode) -> bool:
