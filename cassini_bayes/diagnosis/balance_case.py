@@ -45,7 +45,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import innovations
-from cassini_bayes.diagnosis.modes import Mode, find_mode, maximise, mode_near
+from cassini_bayes.diagnosis.modes import Mode, find_mode, mode_from
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
@@ -476,7 +476,7 @@ def _beside_best_beginning(causes: Sequence[Candidate], workers: StageRunner) ->
     if best is None or not begins_with(best):
         return list(causes)
     others = [own for own in causes if own.name == best.name and own is not best]
-    searches = [partial(_mode_from, own.hypothesis, best.mode) for own in others]
+    searches = [partial(mode_from, own.hypothesis.log_density, best.mode) for own in others]
     modes = dict(zip(map(id, others), workers.results("", searches, Mode), strict=True))
     return [
         by_laplace(own.hypothesis, modes[id(own)])
@@ -484,12 +484,6 @@ def _beside_best_beginning(causes: Sequence[Candidate], workers: StageRunner) ->
         else own
         for own in causes
     ]
-
-
-def _mode_from(hypothesis: Hypothesis, start: Mode) -> Mode:
-    """The mode of a hypothesis near that of another with the same coordinates."""
-    point = maximise(hypothesis.log_density, start.point, start.factor)
-    return mode_near(hypothesis.log_density, point, start.factor)
 
 
 def _is_far_from_prior(mode: Mode) -> bool:

@@ -32,7 +32,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import linearise
-from cassini_bayes.diagnosis.modes import Mode, maximise, mode_near
+from cassini_bayes.diagnosis.modes import Mode, mode_from
 from cassini_bayes.diagnosis.onsets import without_event
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.effects.effect import Effect, onsets
@@ -186,10 +186,8 @@ def on_events(events: Events, weighed: Weighed[Hypothesis]) -> Hypothesis:
 def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> Mode:
     """The mode of a weighed hypothesis on other events (:func:`on_events`)."""
     hypothesis = on_events(events, weighed)
-    density = hypothesis.log_density
     start = carried_over(weighed.mode, weighed.hypothesis, hypothesis)
-    point = maximise(density, start.point, start.factor)
-    return mode_near(density, point, start.factor)
+    return mode_from(hypothesis.log_density, start)
 
 
 def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:

@@ -73,7 +73,7 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
     if n < LEAST_SMOOTHED:
         return rows
     scalar = rows.scalar.copy()
-    around = np.ones(min(SMOOTHED_ROWS, n - 1 + n % 2))
+    around = np.ones(min(SMOOTHED_ROWS, n - 1 + n % 2))  # an odd number: the row in the middle
     around[len(around) // 2] = 0.0
     counts = np.convolve(np.ones(n), around, mode="same")
     for place in (

@@ -132,6 +132,12 @@ def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
     return replace(mode_at(log_density, point, axes), is_whole=has_ended)
 
 
+def mode_from(log_density: LogDensity, start: Mode) -> Mode:
+    """Mode with its whole curvature, from that of another density with the same coordinates."""
+    point = maximise(log_density, start.point, start.factor)
+    return mode_near(log_density, point, start.factor)
+
+
 def find_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mode:
     """Mode with its whole curvature from the centre of the prior or a start (d,).
 

@@ -64,13 +64,11 @@ def with_turns(
         of_rows = linear.columns[part][:, used].reshape(n, 3, -1)
         integrated = pieces.integrated(of_rows.reshape(n, -1)).reshape(of_rows.shape)
         own_columns = np.zeros((n, 3, linear.columns.shape[1]))
-        own_columns[:, :, used] = np.einsum("ab,nbp->nap", to_turns, integrated)
+        integrated = np.einsum("ab,nbp->nap", to_turns, integrated)
+        own_columns[:, :, used] = white.whitened_axes(integrated)
         target = pieces.integrated(linear.target[part].reshape(n, 3)) @ to_turns.T
         target += _turns_for_rates(physics, own, event.rate_rad_s, pieces) @ to_white.T
-        for axis in range(3):
-            own_columns[:, axis, used] = white.whitened(own_columns[:, axis, used], axis)
-            target[:, axis] = white.whitened(target[:, [axis]], axis)[:, 0]
-        targets.append(target.reshape(-1))
+        targets.append(white.whitened_axes(target[:, :, None]).reshape(-1))
         columns.append(own_columns.reshape(3 * n, -1))
         turned.append(replace(event, noise_factor=factor, turns=white))
     both = Linear(

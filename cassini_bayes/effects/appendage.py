@@ -112,13 +112,12 @@ def products_of_turns(
     (rows ``step_s`` apart). The answer to the body's motion is not among them.
     """
     pieces, shares = turns.pieces, turns.slope_shares
-    weighed = np.column_stack([turns.whitened(left[:, [axis]], axis) for axis in range(3)])
     of_slopes, whole, along = _products_of_turns(
         (pieces.time_s, turns.ramps, pieces.ends),
         np.column_stack([np.ones(len(shares)), shares]),
         2.0 * np.pi * frequency_hz,
         damping,
-        weighed,
+        turns.whitened_axes(left[:, :, None])[:, :, 0],
     )
     swings = turns.swing_shares(frequency_hz, step_s)[:, :, None, None]
     squares = of_slopes[:, 1:] + swings * (whole[:, None] - of_slopes[:, :1])

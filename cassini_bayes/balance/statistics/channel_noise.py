@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.statistics.columns import Sampling, direction_cosines
-from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
@@ -24,7 +24,6 @@ THIRD: Final = 20.0
 LEAST_DIFFERENCES: Final = 30  # judgement: a noise level from these is good to a fifth
 OUTLYING: Final = 4.0  # standard deviations: corners of the motion, and hardly any noise
 NORMAL_MEDIAN: Final = 0.6745  # of the size of a standard normal
-_SAME_S: Final = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def channel_noise(
     gap = np.diff(samples.time_s)
     if len(gap) < LEAST_DIFFERENCES:
         return NOT_SEEN
-    even = np.abs(gap - np.median(gap)) < _SAME_S
+    even = np.abs(gap - np.median(gap)) < SAME_S
     quiet = even & (stretch[1:] == stretch[:-1]) & (stretch[1:] >= 0)
     turns = turns_between(direction_cosines(samples.attitude))
     rates = np.diff(samples.rate_rad_s, 2, axis=0)[quiet[1:] & quiet[:-1]]

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
 from cassini_bayes.balance.statistics.rows import (
+    SAME_S,
     Samples,
     quiet_rows,
     rows_at_readings,
@@ -57,7 +58,6 @@ USUAL_SHARE = 0.3  # of close pairs: the mean of the shipped priors
 LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
 LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
-_SAME_S = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class RowContext:
 
     def reading(self, time_s: Array) -> NDArray[np.intp]:
         """Place of the last reading before or at each time."""
-        place = np.searchsorted(self.counter_time_s, time_s + _SAME_S, side="right") - 1
+        place = np.searchsorted(self.counter_time_s, time_s + SAME_S, side="right") - 1
         return np.maximum(place, 0)
 
 
@@ -425,7 +425,7 @@ def settle(
         return rows, carry
     if carry.block is not None:
         rows = Rows.joined([carry.block, rows])
-    of_block = np.floor(rows.time_s / sampling.block_s + _SAME_S)
+    of_block = np.floor(rows.time_s / sampling.block_s + SAME_S)
     over = np.ones(len(of_block), dtype=bool) if final else of_block < of_block[-1:]
     rows, block = rows.part(slice(0, over.sum())), rows.part(slice(over.sum(), None))
     return rows.averaged(of_block[over]), replace(carry, block=block)
@@ -525,7 +525,7 @@ class _Counted:
     def events_before(self, time: Array) -> NDArray[np.intp]:
         """How many of the active intervals have ended by each time."""
         ends = self.time_s[self.active + 1] if len(self.active) else np.empty(0)
-        return np.searchsorted(ends, time + _SAME_S, side="right")
+        return np.searchsorted(ends, time + SAME_S, side="right")
 
 
 def _settled(samples: Samples) -> int:

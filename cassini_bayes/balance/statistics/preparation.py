@@ -20,7 +20,7 @@ from cassini_bayes.balance.statistics.reduction import (
     Preparation,
     Thinned,
 )
-from cassini_bayes.balance.statistics.rows import Samples, quiet_rows
+from cassini_bayes.balance.statistics.rows import SAME_S, Samples, quiet_rows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -33,7 +33,6 @@ LEAST_QUIET: Final = 0.1
 # Controllers answer what is late; within a block of this length they have done so.
 BLOCK_S: Final = 16.0
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
-_SAME_S: Final = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Prepared:
             if len(self.counter_time_s) == 0 or chunk.on_time_s.shape[1] == 0:
                 yield chunk
                 continue
-            place = np.searchsorted(self.counter_time_s, chunk.time_s + _SAME_S, side="right") - 1
+            place = np.searchsorted(self.counter_time_s, chunk.time_s + SAME_S, side="right") - 1
             on_time = self.on_time_s[np.maximum(place, 0)]
             read = np.isfinite(chunk.on_time_s)
             yield replace(chunk, on_time_s=np.where(read, on_time, chunk.on_time_s))
@@ -73,8 +72,8 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     guard_s
         How long after its end a pulse may still deliver momentum.
     """
-    readings, rates, wheels, looked, end_s = _Readings(), [], [], 0, 0.0
     first: list[Samples] = []
+    readings, looked, end_s = _Readings(), 0, 0.0
     complete, at_readings = Thinned(), Thinned()
     for chunk in chunks:
         readings.add(chunk)
@@ -82,16 +81,15 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         at_readings.add(chunk.time_s[chunk.has_state & chunk.has_counters])
         end_s = float(chunk.time_s[-1])
         if looked < LOOKED_AT:
-            rates.append(chunk.rate_rad_s)
-            wheels.append(chunk.wheel_rad_s)
-            first.append(chunk.part(0, LOOKED_AT - looked).complete)
+            first.append(chunk)
             looked += len(chunk)
+    seen = Samples.joined(first)
+    rows = seen.part(0, LOOKED_AT).complete
     steps = ChannelSteps(
-        channel_step(np.concatenate(rates)),
-        channel_step(np.concatenate(wheels) / RAD_S_PER_RPM) * RAD_S_PER_RPM,
+        channel_step(seen.rate_rad_s),
+        channel_step(seen.wheel_rad_s / RAD_S_PER_RPM) * RAD_S_PER_RPM,
     )
     time, on_time, pulses = readings.around_changes()
-    rows = Samples.joined(first)
     if len(time) == 0:
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
         return Prepared(Preparation(steps, noise), time, on_time, end_s)

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
-_SAME_S = 1e-6  # times closer than this are the same
+SAME_S: Final = 1e-6  # times closer than this are the same
 
 
 @dataclass(frozen=True)
@@ -105,12 +106,12 @@ def rows_at_readings(time_s: Array, counter_time_s: Array, guard_s: float) -> Fl
         return np.zeros(len(time_s), dtype=bool)
     before, after = bracketing_readings(time_s, counter_time_s, guard_s)
     read = counter_time_s[np.minimum(after, len(counter_time_s) - 1)]
-    return np.asarray((np.abs(read - time_s) <= _SAME_S) & (before >= 0))
+    return np.asarray((np.abs(read - time_s) <= SAME_S) & (before >= 0))
 
 
 def bracketing_readings(
     time_s: Array, counter_time_s: Array, guard_s: float
 ) -> tuple[Places, Places]:
     """Places of the last readings ``guard_s`` before times (N,), and of the first ones after."""
-    before = np.searchsorted(counter_time_s, time_s - guard_s + _SAME_S, side="right") - 1
-    return before, np.searchsorted(counter_time_s, time_s - _SAME_S, side="left")
+    before = np.searchsorted(counter_time_s, time_s - guard_s + SAME_S, side="right") - 1
+    return before, np.searchsorted(counter_time_s, time_s - SAME_S, side="left")

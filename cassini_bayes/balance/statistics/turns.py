@@ -25,13 +25,13 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.statistics.columns import Layout, Rows, Sampling, cosines
+from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
 LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
-_SAME_S: Final = 1e-6  # times closer than this are the same
 _NYQUIST: Final = 0.49  # cycles from row to row, nearly: nothing is left of the fastest
 
 
@@ -139,7 +139,7 @@ class WhiteTurns:
             if count < LEAST_PIECE:
                 continue
             time = pieces.time_s[start : start + count]
-            step = np.round(np.diff(time) / _SAME_S).tobytes()
+            step = np.round(np.diff(time) / SAME_S).tobytes()
             if step not in known:
                 known[step] = _piece_modes(time)
             own, summed[piece, : count - 1], slope[piece] = known[step]
@@ -154,6 +154,10 @@ class WhiteTurns:
         result = np.zeros((len(values) + 1, values.shape[1]))
         result[self.of_row] = self.modes @ along
         return result[:-1]
+
+    def whitened_axes(self, values: Array) -> Array:
+        """Integrals (n, 3, c) about the three whitened axes, each with its noise made white."""
+        return np.stack([self.whitened(values[:, axis], axis) for axis in range(3)], axis=1)
 
     def swing_shares(self, frequency_hz: Array, step_s: float) -> Array:
         """Share (f, 3) that noise leaves of a swing, by its square, but for what slopes have of it.
@@ -229,7 +233,7 @@ def piece_ends(time_s: Array, breaks: Flags) -> list[int]:
     """
     ends, start = [0], time_s[0]
     for i, is_break in enumerate(breaks):
-        if is_break or time_s[i + 1] - start > LONGEST_S + _SAME_S:
+        if is_break or time_s[i + 1] - start > LONGEST_S + SAME_S:
             ends.append(i + 1)
             start = time_s[i + 1]
     return [*ends, len(time_s)]

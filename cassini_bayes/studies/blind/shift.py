@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cassini_bayes.balance.linearised import Linear, fitted_away, with_unknowns
+from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
@@ -26,8 +27,6 @@ from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.simulation import Truth
-
-_SAME_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ def _common_rows(
     ours, theirs, times = [], [], []
     first, second = 0, 0
     for a, b in zip(one, other, strict=True):
-        _, i, j = np.intersect1d(np.round(a / _SAME_S), np.round(b / _SAME_S), return_indices=True)
+        _, i, j = np.intersect1d(np.round(a / SAME_S), np.round(b / SAME_S), return_indices=True)
         ours.append((first + 3 * i[:, None] + np.arange(3)).reshape(-1))
         theirs.append((second + 3 * j[:, None] + np.arange(3)).reshape(-1))
         first, second = first + 3 * len(a), second + 3 * len(b)
