@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -40,6 +41,7 @@ PRIORS = Path("priors/cassini_b_branch_telemetry.toml")
 RPM = 2.0 * np.pi / 60.0
 MODES = 512
 EDGES = (32, 128)
+SLOW_EDGES = (1, 2, 4, 8, 16)
 SLOPE_EDGES = (1, 2, 4, 8, 32)
 ROWS_PER_MODE = 2
 SPARSE_S = 4.0
@@ -472,25 +474,24 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         own, columns, mean = _unknowns(model, term, samples, rows, arms, tau, close)
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
-        lacking = y
-        total = np.zeros((3 * n, 3 * n))
+        lacking, total = y, np.zeros((3 * n, 3 * n))
         still = 0.2 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
         row_white = white
         walk = plain_walk(samples, rows, term) * values["torque_noise_n_m_s05"]
         bands = plain_bands(np.array(rows.times), samples)
-        of_rows = np.kron(bands[0][0], np.eye(3)) @ walk
-        for band, (share, _, drift) in enumerate(bands):
+        slow = sum(one.slow for one in bands)
+        all_slow = np.sum([one.share for one in bands[:slow]], axis=0)
+        of_rows = np.kron(all_slow, np.eye(3)) @ walk
+        for band, (share, _, drift, is_slow) in enumerate(bands):
             size = round(np.trace(share))
             white = (
                 row_white
                 + plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
                 / size
             )
-            if not fires:
+            if is_slow or not fires:
                 kept, density = np.eye(3), 0.0
-            elif band == 0:
-                kept, density = plain_latent(share @ wheels, size, wheel_noise)
             else:
                 other = white + drift_square * np.trace(drift) / size * np.eye(3)
                 both = np.concatenate([share @ lacking, share @ wheels], axis=1)
@@ -498,12 +499,13 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             added = share @ wheels @ (weights @ kept).T
             own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             own_noise += drift_square * np.kron(drift, np.eye(3))
-            if band == 0:
-                known = (share @ y + added, share, own_noise + of_rows @ of_rows.T)
-                thrusts = term.balance.thrusts_n if fires else np.zeros(arms.shape[1])
-                lacking = _lacking(known, own, columns, mean, thrusts) - y
             y = y + added
             total += own_noise
+            if band == slow - 1:
+                known = (all_slow @ y, all_slow, total + of_rows @ of_rows.T)
+                thrusts = term.balance.thrusts_n if fires else np.zeros(arms.shape[1])
+                lacking = _lacking(known, own, columns, mean, thrusts)
+                lacking = lacking - np.array(rows.rates) @ inertia
             constant += density
         constant -= 1.5 * n * np.log(2 * np.pi)  # three wheel rates of a row
         constant += plain_measure(model, term, rows, turns, values)
@@ -605,10 +607,10 @@ def _flat_measure(
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)
     white = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia + by_wheels
     white = white + fixed["attitude_noise_rad"] ** 2 * spin
-    result = 0.0
-    for band, (share, drift, _) in enumerate(plain_bands(np.array(rows.times), samples)):
+    result, of_constant = 0.0, np.zeros((3, 3))
+    for share, drift, _, is_slow in plain_bands(np.array(rows.times), samples):
         size = round(np.trace(share))
-        if fires and band > 0:
+        if fires and not is_slow:
             result += size * np.linalg.slogdet(inertia)[1]
             continue
         left_open = plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
@@ -618,11 +620,10 @@ def _flat_measure(
         noise = np.kron(share, own) + drift_square * np.kron(drift, one)
         noise = basis.T @ noise @ basis
         result += 0.5 * np.linalg.slogdet(noise)[1]
-        if band == 0:
+        if is_slow:
             constant = basis.T @ np.kron(np.ones((n, 1)), one)
-            constant /= np.linalg.norm(constant[:, 0])
-            left = constant.T @ np.linalg.solve(noise, constant)
-            result += 0.5 * np.linalg.slogdet(left)[1]
+            of_constant += constant.T @ np.linalg.solve(noise, constant) / n
+    result += 0.5 * np.linalg.slogdet(of_constant)[1]
     attitude = fixed["attitude_noise_rad"] ** 2 * inertia @ inertia
     gyro = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia
     for share, summed, walked, _ in turns.bands:
@@ -798,10 +799,12 @@ def plain_open(
         ends += [slopes[t] * ramps * (times >= t) for t, own in rows.shots if own == g]
         levels = np.column_stack([a - b for a, b in pairwise([*ends, 0.0 * times])])
         apart = np.diff(np.eye(levels.shape[1]), axis=0)
-        seen = np.ones(levels.shape[1])
-        if counters.coarse[g]:
-            seen[1:-1] = 0.0
-        precision = np.diag(seen) + apart.T @ apart / max(counters.open_ratio[g], LEAST_RATIO)
+        last = levels.shape[1] - 1
+        seen = np.zeros(last + 1)
+        spaces = max(int(last / counters.open_every[g]), 1)
+        seen[[round(last * i / spaces) for i in range(spaces + 1)]] = 1.0
+        ratio = np.maximum(counters.open_ratio[counters.fired[:, g], g], LEAST_RATIO)
+        precision = np.diag(seen) + apart.T @ (apart / ratio[:, None])
         open_levels = counters.open_s2[g] * np.linalg.inv(precision)
         square += np.trace(levels.T @ share @ levels @ open_levels)
         total += square * np.outer(arm, arm)
@@ -968,11 +971,20 @@ def plain_faster(modes: Array, size: Array, waves: Array, duration_s: float) -> 
     return np.asarray(size**2 - np.sum(slowest**2, axis=1))
 
 
-def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array, Array]]:
-    """Of every band of rows the projector, and covariances of a unit random walk, (n, n) each.
+class PlainBand(NamedTuple):
+    """Of a band of rows the projector, and covariances of a unit random walk, (n, n) each.
 
-    First that of all of it, then, in the slow band, of what is faster than its slowest cosines.
+    First that of all of it, then, in slow bands, of what is faster than its slowest cosines.
     """
+
+    share: Array
+    walk: Array
+    faster: Array
+    slow: bool
+
+
+def plain_bands(times: Array, samples: Samples) -> list[PlainBand]:
+    """The bands of rows, slow ones first."""
     duration = float(samples.time_s[-1])
     waves = [np.ones(len(times)) * np.sqrt(duration / 3.0)]
     waves += [
@@ -986,40 +998,25 @@ def plain_bands(times: Array, samples: Samples) -> list[tuple[Array, Array, Arra
     if plain_sparse(n, samples):
         count, inner = n, [*(edge for edge in EDGES if edge < n // 2), n // 2, 3 * n // 4]
     edges = [0, *(edge for edge in inner if edge < count), count]
+    edges = sorted({*edges, *(edge for edge in SLOW_EDGES if edge < edges[1])})
     bands = []
     for start, stop in pairwise(edges):
         own, variance = modes[:, start:stop], size[start:stop] ** 2
         left = faster[start:stop]
-        if start > 0:
+        if start >= min(inner[0], count):
             left = variance = np.full_like(variance, variance.mean())
-        bands.append((own @ own.T, own * variance @ own.T, own * left @ own.T))
+        covariances = (own @ own.T, own * variance @ own.T, own * left @ own.T)
+        bands.append(PlainBand(*covariances, start < inner[0]))
     if count == n:
         return bands
     rest = np.eye(n) - modes[:, :count] @ modes[:, :count].T
     beyond = 2 * duration / np.pi**2 / (count - 0.5) * n / (n - count)
-    return [*bands, (rest, beyond * rest, beyond * rest)]
+    return [*bands, PlainBand(rest, beyond * rest, beyond * rest, False)]
 
 
 def plain_sparse(rows: int, samples: Samples) -> bool:
     """Whether a bias has a usable row in four seconds at most."""
     return samples.on_time_s.shape[1] > 0 and float(samples.time_s[-1]) > SPARSE_S * rows
-
-
-def plain_latent(wheels: Array, rows: int, noise: float) -> tuple[Array, float]:
-    """Share of measured wheel rates that is motion, and their density, by quadrature over log V."""
-    squares, axes = np.linalg.eigh(wheels.T @ wheels)
-    shares, density = [], 0.0
-    for square in squares:
-        log_s = np.linspace(-9.0, 34.0, 400_001)
-        log_v = np.log(noise * (1.0 + np.exp(log_s)))
-        log_p = -0.5 * rows * log_v - 0.5 * square * np.exp(-log_v)
-        log_still = -0.5 * rows * np.log(noise) - 0.5 * square / noise
-        top = max(log_p.max(), log_still)
-        p = np.exp(log_p - top) / 43.0
-        total = trapezoid(p, log_s) + np.exp(log_still - top)
-        shares.append(trapezoid(p * (1.0 - noise * np.exp(-log_v)), log_s) / total)
-        density += top + np.log(0.5 * total)
-    return axes * shares @ axes.T, density
 
 
 def plain_estimate(

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, wheel_squares
-from cassini_bayes.balance.statistics import EventStatistics, Layout
+from cassini_bayes.balance.statistics import EventStatistics
 from cassini_bayes.balance.statistics.columns import cosines, walk_cosines
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.balance.statistics.turns import slope_weights
@@ -29,9 +29,9 @@ from cassini_bayes.computing.arrays import Array
 Result = TypeVar("Result")
 
 EDGES: Final = (32, 128)  # of the bands, in modes: what is slower than T/16, then T/64
-# Rows with late pulses are tens, and cut tails are nearly all of what is slow in them: a walk whose
-# squares fall by a hundred from the first of 32 modes to the last.
-LATE_EDGES: Final = (4, 8, 16, 32, 128)
+# What counters leave open is a walk, whose squares fall by a thousand from the first slow mode to
+# the last.
+SLOW_EDGES: Final = (1, 2, 4, 8, 16)
 # The same of slopes of quiet pieces. The first mode is a constant, which the initial momentum takes
 # up: the next ones hold most of what is known of torque noise.
 SLOPE_EDGES: Final = (1, 2, 4, 8, 32)
@@ -52,15 +52,14 @@ _NODES: Final = 800  # of the table and of the integral over s: the density is r
 class Band:
     """Part of the row space: modes of similar frequency, or all that is faster than the modes.
 
-    ``square`` (W, W) are the measured wheel rates' mean products, rad²/s²; ``walk`` (R,) or (1,)
+    ``walk`` (R,) or (1,)
     are the variances of a unit random walk's modes, s, and ``faster`` what the noise has of them:
-    in the slow band all but the walk's mean and its slowest cosines, which are unknowns.
+    in the slow bands all but the walk's mean and its slowest cosines, which are unknowns.
     ``motion`` is None where wheels move by any amount at all frequencies. ``left_open`` are mean
     squares of what counters leave open, and ``wheels`` those of the noise of wheel rates.
     """
 
     rows: int
-    square: Array
     walk: Array
     faster: Array
     motion: CubicSpline | None  # of :func:`motion_table`
@@ -75,7 +74,7 @@ class Band:
         return self.motion.x, np.ascontiguousarray(self.motion.c)
 
 
-Bands = tuple[Band, tuple[Band, ...], Array, Array, WheelSquares]
+Bands = tuple[tuple[Band, ...], tuple[Band, ...], Array, Array, WheelSquares]
 
 
 def _once(function: Callable[[EventStatistics], Result]) -> Callable[[EventStatistics], Result]:
@@ -98,7 +97,7 @@ def make_bands(statistics: EventStatistics) -> Bands:
     In slews the wheels are what turns the body, at every frequency that the controller has: nothing
     is said of them in any band, and next to nothing lost, the rates being far above their noise.
 
-    Returns the slow band, the fast bands (octaves of the faster modes, and all that no mode
+    Returns the slow bands, the fast bands (octaves of the faster modes, and all that no mode
     explains), all columns' coordinates (3, A, M) on the slow modes, the Gram matrices
     (3, 3, A, A) of the fast bands, and the noise of wheel rates over all rows.
     """
@@ -114,19 +113,24 @@ def make_bands(statistics: EventStatistics) -> Bands:
     )
     # thrusters that fire in every interval answer what is late, at all frequencies that are left
     turning = statistics.kind == "slew" or statistics.counters.has_late_pulses
-    edges, still = _edges(statistics, len(walk)), STILL
-    bands, grams, rest = [], [], statistics.gram
-    for start, stop in pairwise(edges):
-        part = modes[..., start:stop]
-        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
-        motion = None if turning else motion_table(stop - start, still)
+    still = SPARSE_STILL if is_sparse(statistics) else STILL
+    edges = _edges(statistics, len(walk))
+
+    def band(start: int, stop: int, faster: Array, motion: CubicSpline | None) -> Band:
         own_wheels = of_wheels.of_modes(start, stop).over(stop - start)
-        walks = (walk[start:stop], faster[start:stop] if start == 0 else walk[start:stop])
         noise = (left_open.of_modes(start, stop), own_wheels)
-        bands.append(_band(statistics.layout, gram, walks, stop - start, motion, *noise))
-        grams.append(gram)
-        rest = rest - gram
-        still = SPARSE_STILL if is_sparse(statistics) else STILL
+        return Band(stop - start, walk[start:stop], faster[start:stop], motion, *noise)
+
+    inner = [edge for edge in SLOW_EDGES if edge < edges[1]]
+    slow = [band(*ends, faster, None) for ends in pairwise([0, *inner, edges[1]])]
+    slow_modes = np.ascontiguousarray(modes[..., : edges[1]])
+    rest = statistics.gram - _gram_of(slow_modes)
+    bands, grams = [], []
+    for start, stop in pairwise(edges[1:]):
+        motion = None if turning else motion_table(stop - start, still)
+        bands.append(band(start, stop, walk, motion))
+        grams.append(_gram_of(modes[..., start:stop]))
+        rest = rest - grams[-1]
     rows = statistics.rows - len(walk)
     if rows > 0:
         # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
@@ -135,16 +139,20 @@ def make_bands(statistics: EventStatistics) -> Bands:
         motion = None if turning else motion_table(rows, still)
         slower = of_wheels.of_modes(0, len(walk))
         noise = (left_open.of_rest(rows), (everywhere - slower).over(rows))
-        bands.append(_band(statistics.layout, rest, (left, left), rows, motion, *noise))
+        bands.append(Band(rows, left, left, motion, *noise))
         grams.append(rest)
-    slow = np.ascontiguousarray(modes[..., : bands[0].rows])
     return (
-        bands[0],
-        tuple(bands[1:]),
-        slow,
-        np.array(grams[1:]).reshape(len(bands) - 1, *rest.shape),
+        tuple(slow),
+        tuple(bands),
+        slow_modes,
+        np.array(grams).reshape(len(bands), *rest.shape),
         everywhere.over(counters.stride * len(time)),
     )
+
+
+def _gram_of(modes: Array) -> Array:
+    """Inner products (3, 3, A, A) of columns that have coordinates (3, A, M) on modes."""
+    return np.asarray(np.tensordot(modes, modes, (2, 2)).transpose(0, 2, 1, 3))
 
 
 def is_sparse(statistics: EventStatistics) -> bool:
@@ -154,25 +162,12 @@ def is_sparse(statistics: EventStatistics) -> bool:
 
 
 def _edges(statistics: EventStatistics, modes: int) -> list[int]:
-    """First modes of the bands, and the end of the last."""
-    inner = {*(LATE_EDGES if statistics.counters.has_late_pulses else EDGES)}
+    """0, the end of the slow modes, and the ends of the fast bands of modes."""
+    inner = {*EDGES}
     if is_sparse(statistics):
         places = [int(share * statistics.rows) for share in SPARSE_EDGES]
         inner = {*(edge for edge in EDGES if edge < places[0]), *places}
     return [0, *sorted(edge for edge in inner if 0 < edge < modes), modes]
-
-
-def _band(
-    layout: Layout,
-    gram: Array,
-    walks: tuple[Array, Array],
-    rows: int,
-    motion: CubicSpline | None,
-    left_open: OpenSquares,
-    wheels: WheelSquares,
-) -> Band:
-    square = np.ascontiguousarray(gram[0, 0, layout.wheel, layout.wheel] / rows)
-    return Band(rows, square, *walks, motion, left_open, wheels)
 
 
 @dataclass(frozen=True)

@@ -133,10 +133,14 @@ def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, 
     variance = band_wheel_variances(event, reference)[:, :, None]
     white = band_covariances(event, physics, reference, event.nominally_open.rows)
     noise = white + (wheels * variance) @ np.swapaxes(wheels, -1, -2)
-    slow = np.linalg.eigvalsh(noise[:, 0])[..., None] + by_torque * event.slow.walk
+    bands = len(event.slow)
+    modes = np.array([band.rows for band in event.slow])
+    values = np.repeat(np.linalg.eigvalsh(noise[:, :bands]), modes, axis=1)
+    walk = np.concatenate([band.walk for band in event.slow])
+    slow = np.swapaxes(values, 1, 2) + by_torque * walk
     result = np.log(slow).sum((1, 2)) + np.log((event.constant**2 / slow).sum(-1)).sum(-1)
-    others = event.statistics.rows - event.slow.rows
-    for band, own in zip(event.fast, np.moveaxis(noise[:, 1:], 1, 0), strict=True):
+    others = event.statistics.rows - modes.sum()
+    for band, own in zip(event.fast, np.moveaxis(noise[:, bands:], 1, 0), strict=True):
         if band.motion is None:
             result = result + band.rows * _log_det(own + band.walk.mean() * by_torque * np.eye(3))
             others -= band.rows

@@ -33,22 +33,23 @@ class Entries(NamedTuple):
     turned: Places  # (V,) what integrated columns weigh in their own way
 
 
-class SlowBand(NamedTuple):
-    """The band of R modes: columns' coordinates on them, and measured wheel rates.
+class SlowBands(NamedTuple):
+    """S bands of R modes together: columns' coordinates on them.
 
-    ``square`` (W, W) are the rates' mean products, rad²/s². The table is a cubic spline's nodes
-    (T,) and coefficients (4, T − 1, 2); none where nothing is said of the wheels' motion.
+    Of band s are the modes from ``first[s]`` to ``first[s + 1]``.
     """
 
     projection: Array  # (3, B, R)
+    first: Places  # (S + 1,)
     walk: Array  # (R,) variances of a unit random walk but for its slowest cosines, s
-    square: Array
-    nodes: Array
-    coefficients: Array
 
 
 class FastBands(NamedTuple):
-    """F bands of Gram matrices; tables as for the slow one."""
+    """F bands of Gram matrices, and what is said of the wheels' motion in them.
+
+    Tables are a cubic spline's nodes (T,) and coefficients (4, T − 1, 2); none where nothing is
+    said of it.
+    """
 
     grams: Array  # (F, B, 3, 3, B): what a column needs lies together
     rows: Array  # (F,)
@@ -74,14 +75,14 @@ class Noise(NamedTuple):
     """Noise and wheels at n points."""
 
     wheels: Array  # (n, 3, W) momentum per wheel rate
-    beside: Array  # (n, 1 + F, 3, 3) covariance without wheels and torque noise, (N m s)²
-    wheel: Array  # (n, 1 + F, W) variance of measured wheel rates, rad²/s²
+    beside: Array  # (n, S + F, 3, 3) covariance without wheels and torque noise, (N m s)²
+    wheel: Array  # (n, S + F, W) variance of measured wheel rates, rad²/s²
     walk: Array  # (n,) density of torque noise, N² m² s
     turns: Array  # (n, T, 3, 3) covariance of a contrast of integrated columns, (N m s²)²
 
 
 class Placed(NamedTuple):
-    """Priors of the unknowns, by which the slow band places them.
+    """Priors of the unknowns, by which the slow bands place them.
 
     The first ``normals`` unknowns are standard normals, of momentum too slow for the fast bands.
     Means, standard deviations of thrusts (one number) and of the event's own.
@@ -99,7 +100,7 @@ def normal_equations(
     turned: Array,
     noise: Noise,
     entries: Entries,
-    slow: SlowBand,
+    slow: SlowBands,
     fast: FastBands,
     turns: Turns,
     placed: Placed,
@@ -119,33 +120,40 @@ def normal_equations(
     Returns
     -------
     Inner products (n, P, P); the log of all determinants and of the density of measured wheel rates
-    (n,), constants left out, −∞ where a covariance is not positive; the matrices (n, 1 + F, W, W)
-    that take measured wheel rates to the estimate of the true ones, the slow band first
+    (n,), constants left out, −∞ where a covariance is not positive; the matrices (n, F, W, W)
+    that take measured wheel rates to the estimate of the true ones in the fast bands
     (docs/topics/telemetry-likelihood.md §3).
     """
     n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
-    size, modes, bands = slow.projection.shape[1], slow.walk.size, fast.rows.size
+    size, modes = slow.projection.shape[1], slow.walk.size
+    slow_bands, bands = slow.first.size - 1, fast.rows.size
     most = max(modes, turns.projection.shape[2])
     normal, log_scale = np.zeros((n, width, width)), np.empty(n)
-    kept, lacking = np.empty((n, 1 + bands, wheels, wheels)), np.empty((n, 3, size))
+    kept, lacking = np.empty((n, bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
     other, covariance, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     precision = np.empty((2, 3, 3))
     gain, on_modes = np.empty((3, most)), np.empty((width, 3 * most))
-    is_told = slow.nodes.size > 0
+    is_told = fast.nodes.size > 0
     for i in range(n):
         used, own = weights[i], noise.wheels[i]
-        log_scale[i] = _slow_wheels(slow, noise.wheel[i, 0], kept[i, 0])
-        _see(own, kept[i, 0], entries.wheels, used, seen)
-        _add_wheels(noise.beside[i, 0], noise.wheel[i, 0], seen, own, covariance)
-        _diagonalise(covariance, axes)
-        for e in range(3):
-            for m in range(modes):
-                variance = covariance[e, e] + noise.walk[i] * slow.walk[m]
-                gain[e, m] = 1.0 / variance
-                log_scale[i] -= 0.5 * np.log(variance)
-        _add_modes(slow.projection, 0, modes, entries, used, axes, gain, on_modes, normal[i])
-        if is_told and bands > 0:
+        log_scale[i] = 0.0
+        for j in range(wheels):
+            for c in range(3):
+                used[entries.wheels[j], c] = own[c, j]
+        for s in range(slow_bands):
+            start, count = slow.first[s], slow.first[s + 1] - slow.first[s]
+            _add_wheels(noise.beside[i, s], noise.wheel[i, s], own, own, covariance)
+            _diagonalise(covariance, axes)
+            for e in range(3):
+                for m in range(count):
+                    variance = covariance[e, e] + noise.walk[i] * slow.walk[start + m]
+                    gain[e, m] = 1.0 / variance
+                    log_scale[i] -= 0.5 * np.log(variance)
+            _add_modes(
+                slow.projection, start, count, entries, used, axes, gain, on_modes, normal[i]
+            )
+        if is_told:
             _place(entries, used, normal[i], placed, i, lacking[i])
     # band by band and two points at a time: Gram matrices are read from the cache half as often
     for f in range(bands):
@@ -155,7 +163,7 @@ def normal_equations(
                 used, own = weights[p], noise.wheels[p]
                 for c in range(3):
                     for e in range(3):
-                        other[c, e] = noise.beside[p, 1 + f, c, e]
+                        other[c, e] = noise.beside[p, slow_bands + f, c, e]
                     other[c, c] += noise.walk[p] * fast.walk[f]
                 if is_told:
                     _moments(fast.grams[f], entries.wheels, lacking[p], fast.rows[f], products)
@@ -166,13 +174,13 @@ def normal_equations(
                         products,
                         other,
                         own,
-                        noise.wheel[p, 1 + f],
-                        kept[p, 1 + f],
+                        noise.wheel[p, slow_bands + f],
+                        kept[p, f],
                     )
                 else:
-                    _set_one(kept[p, 1 + f])
-                _see(own, kept[p, 1 + f], entries.wheels, used, seen)
-                _add_wheels(other, noise.wheel[p, 1 + f], seen, own, covariance)
+                    _set_one(kept[p, f])
+                _see(own, kept[p, f], entries.wheels, used, seen)
+                _add_wheels(other, noise.wheel[p, slow_bands + f], seen, own, covariance)
                 log_determinant = _invert(covariance, precision[p - i])
                 if not is_told:
                     log_scale[p] -= 0.5 * fast.rows[f] * log_determinant
@@ -377,37 +385,6 @@ def _add_wheels(
             for j in range(own.shape[1]):
                 value += seen[c, j] * variance[j] * own[d, j]
             out[c, d] = out[d, c] = beside[c, d] + value
-
-
-@compiled_sums
-def _slow_wheels(
-    band: SlowBand, variance: Array, kept: Array
-) -> float:  # pragma: no cover - compiled
-    """Best linear estimate of the true wheel rates of the slow band, and their own log density.
-
-    In units of every wheel's own noise, along every principal axis the R measured rates have
-    variance V = S + 1 (docs §3); the matrix is E[S/V]. In slews all is motion, and the density
-    flat.
-    """
-    wheels, rows = variance.size, float(band.walk.size)
-    if band.nodes.size == 0:
-        _set_one(kept)
-        return 0.0
-    log_total, noise = 0.0, np.sqrt(variance)
-    squares, axes = np.empty((wheels, wheels)), np.empty((wheels, wheels))
-    for j in range(wheels):
-        log_total -= 0.5 * rows * np.log(variance[j])
-        for k in range(wheels):
-            squares[j, k] = band.square[j, k] / (noise[j] * noise[k])
-    _diagonalise(squares, axes)
-    kept[:] = 0.0
-    for a in range(wheels):
-        log_density, spread = _looked_up(rows, band.nodes, band.coefficients, squares[a, a])
-        log_total += log_density
-        for j in range(wheels):
-            for k in range(wheels):
-                kept[j, k] += noise[j] * axes[j, a] * (1.0 - spread) * axes[k, a] / noise[k]
-    return log_total
 
 
 @compiled_sums

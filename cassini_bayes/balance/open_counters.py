@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, LostTails, quarter_of
+from cassini_bayes.balance.statistics.counters import read_levels
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array, Places
 
@@ -66,7 +67,7 @@ def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales)
 def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
     """Patterns (n, C, s), in s of pulse columns and of variance 1, of a couple's rounded counters.
 
-    Levels between two firings have the precision (1 + D'D/q)/σ² = U'U/σ² of
+    Levels between two firings have the precision (1 + Dᵀ Q⁻¹ D)/σ² = Uᵀ U/σ² of
     :class:`~cassini_bayes.balance.statistics.counters.Rounding`, and the patterns are B U⁻¹, B what
     a level leaves in the rows: its error is in the firing before it and, less, in the one after it,
     by what columns gain per on-time. ``always`` (n, 1) is what a constant leaves in them.
@@ -77,16 +78,14 @@ def level_patterns(counters: CounterStatistics, couple: int, step: Array, always
     first = always[:, None] * np.eye(size, 1)
     ends = np.concatenate([first, step[:, None, own] * slopes.T], axis=2)
     levels = -np.diff(ends, axis=2, append=0.0) * np.sqrt(counters.open_s2[couple])
-    bound = 1.0 / max(counters.open_ratio[couple], LEAST_RATIO)
-    if bound == 0.0 or not levels.any():
+    bound = 1.0 / np.maximum(counters.open_ratio[own, couple], LEAST_RATIO)
+    if not bound.any() or not levels.any():
         return np.asarray(levels)
-    place = np.arange(levels.shape[2])
-    first_one, last = place == 0, place == len(place) - 1
-    neighbours = 2.0 - first_one - last
-    seen = (first_one | last) if counters.coarse[couple] else np.ones(len(place))
-    factor = cholesky_banded(np.stack([np.full(len(place), -bound), seen + bound * neighbours]))
+    diagonal = np.r_[bound, 0.0] + np.r_[0.0, bound]
+    diagonal[read_levels(len(diagonal), counters.open_every[couple])] += 1.0
+    factor = cholesky_banded(np.stack([np.r_[0.0, -bound], diagonal]))
     lower = np.stack([factor[1], np.roll(factor[0], -1)])  # of U', by columns
-    flat = levels.reshape(-1, len(place))
+    flat = levels.reshape(-1, len(diagonal))
     return np.asarray(solve_banded((1, 0), lower, flat.T).T).reshape(levels.shape)
 
 

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
-from cassini_bayes.balance.kernel import Entries, FastBands, SlowBand, Turns
+from cassini_bayes.balance.kernel import Entries, FastBands, SlowBands, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
@@ -163,7 +163,7 @@ class Products:
 class OpenCounters(NamedTuple):
     """Covariance of tails and on-times that counters leave open, in each band."""
 
-    rows: Array  # (n, 1 + F, 3, 3), (N m s)²
+    rows: Array  # (n, S + F, 3, 3), (N m s)²
     turns: Array  # (n, T, 3, 3), (N m s²)²
 
 
@@ -174,7 +174,7 @@ NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)
 class TelemetryBalance:
     """One telemetry event, ready for likelihood calls.
 
-    ``slow`` and ``fast`` are the bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
+    ``slow`` and ``fast`` are bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
     the turns of the attitude over its quiet pieces.
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
@@ -189,7 +189,7 @@ class TelemetryBalance:
     sampling: Sampling
     pattern: Pattern
     wheel_places: tuple[int, ...]
-    slow: Band
+    slow: tuple[Band, ...]
     fast: tuple[Band, ...]
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
@@ -215,29 +215,31 @@ class TelemetryBalance:
         return tuple(name for name in self.statistics.layout.extra if "@" not in name)
 
     @cached_property
-    def bands(self) -> tuple[SlowBand, FastBands, Turns]:
+    def bands(self) -> tuple[SlowBands, FastBands, Turns]:
         """The bands for compiled code, which has a column of its own for every entry."""
         contrasts = np.array([band.contrasts for band in self.turns], dtype=np.int64)
         first = np.r_[0, np.cumsum(contrasts)]
         first = first[first <= self.products.slopes.shape[2]]
         rest = replace(self.products, turns=self.products.turns[len(first) - 1 :])
         own = rest.of(self.reduced.entered)
-        nodes, coefficients = zip(*(band.table for band in (self.slow, *self.fast)), strict=True)
-        slow = SlowBand(own.slow, self.slow.faster, self.slow.square, nodes[0], coefficients[0])
+        modes = np.r_[0, np.cumsum([band.rows for band in self.slow])]
+        slow = SlowBands(own.slow, modes, np.concatenate([band.faster for band in self.slow]))
+        tables = [band.table for band in self.fast]
+        nodes, coefficients = (np.array(each) for each in zip(*tables, strict=True))
         fast = FastBands(
             _by_column(own.grams),
             np.array([float(band.rows) for band in self.fast]),
             np.array([band.faster.mean() for band in self.fast]),
-            np.array(nodes[1:]).reshape(len(self.fast), *nodes[0].shape),
-            np.array(coefficients[1:]).reshape(len(self.fast), *coefficients[0].shape),
+            nodes,
+            coefficients,
         )
         turns = Turns(own.slopes, first, _by_column(own.turns), contrasts.astype(np.float64))
         return slow, fast, turns
 
     @cached_property
     def left_open(self) -> OpenSquares:
-        """What counters leave open in the slow band, the fast ones and those of turns (N, G, …)."""
-        bands: list[Band | TurnBand] = [self.slow, *self.fast, *self.turns]
+        """What counters leave open in slow bands, fast ones and those of turns (N, G, …)."""
+        bands: list[Band | TurnBand] = [*self.slow, *self.fast, *self.turns]
         return OpenSquares(
             np.array([band.left_open.pairs for band in bands]),
             np.array([band.left_open.columns for band in bands]),
@@ -337,7 +339,7 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
         event,
         fast=(replace(first, rows=rows, walk=walk, faster=walk),),
         products=replace(products, grams=products.grams.sum(axis=0, keepdims=True)),
-        nominally_open=nominally_open._replace(rows=nominally_open.rows[:, :2]),
+        nominally_open=nominally_open._replace(rows=nominally_open.rows[:, : 1 + len(event.slow)]),
     )
 
 

@@ -7,7 +7,7 @@ mean, and have no place here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ def row_information(
     physics, parameters
         At 1 + 2 d points: the centre, then one step up and one down along each of d coordinates.
     kept
-        (1 + F, W, W) of every band at the centre, the slow one first.
+        (F, W, W) of every fast band at the centre.
     mean
         (P,) values of the unknowns at the centre.
     own_sd
@@ -64,14 +64,18 @@ def row_information(
     left_open = open_counters(event, physics)
     with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
-    bands = zip((event.slow, *event.fast), (None, *products.grams), kept, with_open, strict=True)
-    for band, gram, estimate, own in bands:
-        weights = balance_weights(event, physics, estimate[None])
-        slow = walk if gram is None else np.zeros_like(walk)
-        columns = np.r_[slow, _columns(event, weights, mean, own_sd, levels, step)]
-        noise = own + wheel_covariance(event, physics, parameters, estimate[None])[0]
-        total = total + _whitened(event, products.slow, band, gram, columns, noise, nominal)
     weights = balance_weights(event, physics)
+    columns = np.r_[walk, _columns(event, weights, mean, own_sd, levels, step)]
+    modes = np.split(products.slow, np.cumsum([band.rows for band in event.slow[:-1]]), axis=2)
+    of_wheels = wheel_covariance(event, physics, parameters)[0]
+    for band, own, noise in zip(event.slow, modes, with_open, strict=False):
+        total = total + _of_modes(event, own, band, columns, noise + of_wheels, nominal)
+    bands = zip(event.fast, products.grams, kept, with_open[len(event.slow) :], strict=True)
+    for band, gram, estimate, noise in bands:
+        own = balance_weights(event, physics, estimate[None])
+        columns = np.r_[np.zeros_like(walk), _columns(event, own, mean, own_sd, levels, step)]
+        noise = noise + wheel_covariance(event, physics, parameters, estimate[None])[0]
+        total = total + _of_gram(event, gram, band, columns, noise, nominal)
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
@@ -164,33 +168,52 @@ def _columns(
     return np.concatenate([walked, thrust, own])
 
 
-def _whitened(
+def _of_modes(
     event: TelemetryBalance,
-    slow_modes: Array,
+    modes: Array,
     band: Band,
-    gram: Array | None,
     columns: Array,
     noise: Array,
     nominal: Mapping[str, Array],
 ) -> Array:
-    """Inner products of the derivatives over one band's rows, white and torque noise whitened."""
-    values, vectors = np.linalg.eigh(noise)
-    count, size = len(columns), columns.shape[-1]
-    variance = values[:, None] + nominal["torque_noise_n_m_s05"][0] ** 2 * band.faster  # (3, R)
-    modes = slow_modes.reshape(3 * size, -1)
-    quiet = band.rows * _channel_square(event, nominal, 1.0)
-    result = np.zeros((count, count))
-    for own, axis in zip(variance, vectors.T, strict=True):
-        along = (axis[:, None] * columns).reshape(count, -1)
-        if gram is None:
-            on_modes = along @ modes
-            result += (on_modes / own) @ on_modes.T
-        else:
-            flat = gram.transpose(0, 2, 1, 3).reshape(3 * size, 3 * size)
-            result += along @ flat @ along.T / own.mean()
-        scalar = np.einsum("a,uac->uc", axis, columns)
-        result -= (scalar * quiet) @ scalar.T / own.mean()
+    """Inner products of the derivatives over modes (3, A', R), white and torque noise whitened."""
+    result = np.zeros((len(columns), len(columns)))
+    for variance, axis in _axes_of(noise, band, nominal):
+        on_modes = np.einsum("c,uca,cam->um", axis, columns, modes, optimize=True)
+        scalar = np.einsum("c,uca->ua", axis, columns)
+        quiet = band.rows * _channel_square(event, nominal, 1.0) / variance.mean()
+        result += (on_modes / variance) @ on_modes.T - (scalar * quiet) @ scalar.T
     return result
+
+
+def _of_gram(
+    event: TelemetryBalance,
+    gram: Array,
+    band: Band,
+    columns: Array,
+    noise: Array,
+    nominal: Mapping[str, Array],
+) -> Array:
+    """The same over the rows of a band that has a Gram matrix (3, 3, A', A')."""
+    result = np.zeros((len(columns), len(columns)))
+    for variance, axis in _axes_of(noise, band, nominal):
+        along = axis[:, None] * columns
+        crossed = np.einsum("uca,cdab->udb", along, gram, optimize=True)
+        scalar = np.einsum("c,uca->ua", axis, columns)
+        quiet = band.rows * _channel_square(event, nominal, 1.0)
+        square = np.einsum("udb,vdb->uv", crossed, along) - (scalar * quiet) @ scalar.T
+        result += square / variance.mean()
+    return result
+
+
+def _axes_of(
+    noise: Array, band: Band, nominal: Mapping[str, Array]
+) -> Iterator[tuple[Array, Array]]:
+    """Principal axes (3,) of a band's noise, and the variance (R,) of its modes along each."""
+    values, vectors = np.linalg.eigh(noise)
+    walked = nominal["torque_noise_n_m_s05"][0] ** 2 * band.faster
+    for value, axis in zip(values, vectors.T, strict=True):
+        yield value + walked, axis
 
 
 def _channel_square(event: TelemetryBalance, nominal: Mapping[str, Array], summed: float) -> Array:

@@ -65,8 +65,8 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n, 1 + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    each = [_wheel_variances(event, parameters, b.wheels) for b in (event.slow, *event.fast)]
+    """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
+    each = [_wheel_variances(event, parameters, b.wheels) for b in (*event.slow, *event.fast)]
     return np.ascontiguousarray(np.stack(each, axis=1))
 
 
@@ -104,7 +104,7 @@ def covariance_beside_wheels(
 def band_covariances(
     event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
 ) -> Array:
-    """Covariance (n, 1 + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
+    """Covariance (n, S + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
 
     What counters leave open is slower than the rows: ``left_open`` (:class:`OpenCounters`) differs
     by band.
@@ -205,7 +205,7 @@ def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
 
     What is late does not last: it is the same in all bands of rows.
     """
-    own, of_rows = event.left_open, 1 + len(event.fast)
+    own, of_rows = event.left_open, len(event.slow) + len(event.fast)
     result = np.zeros((len(physics.inertia_kg_m2), len(own.pairs), 3, 3))
     if event.fires and own:
         scales = open_scales(event, physics)

@@ -48,7 +48,7 @@ class EventSystem:
     log_scale: Array
     own_sd: Array  # (n, U)
     own_mean: Array  # (U,)
-    kept: Array  # (n, 1 + F, W, W) of every band, the slow one first
+    kept: Array  # (n, F, W, W) of every fast band
 
 
 def event_system(

@@ -196,7 +196,8 @@ class BalanceCase(Case[Hypothesis]):
                 best = max(w.log_evidence for w in weighed)
                 result = replace(effect, search_result=settled)
                 weighed.append(self._settled(result, (), base, best, workers))
-        return beginnings.summed(_sampled_near_best(weighed, rng, workers))
+        sampled = _sampled_near_best(weighed, rng, workers)
+        return beginnings.summed(sampled, sampled[0].net_evidence)
 
     def _settled(
         self,
@@ -263,7 +264,8 @@ class BalanceCase(Case[Hypothesis]):
         reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]
         bar = max([least, *(e.net_evidence for e in weighed)])
         which = [i for i, e in enumerate(reach) if e > bar]
-        drawn = beginnings.summed(with_draws(weighed, which, FEW_DRAWS, rng, workers))
+        drawn = with_draws(weighed, which, FEW_DRAWS, rng, workers)
+        drawn = beginnings.summed(drawn, first.net_evidence - first.summed)
         return [replace(pair, summed=pair.summed + first.summed) for pair in drawn]
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:

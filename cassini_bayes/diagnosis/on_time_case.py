@@ -104,7 +104,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         near = [i for i, w in enumerate(weighed) if w.log_evidence > best - NEAR_NATS]
         for i in sorted(near, key=lambda i: -weighed[i].log_evidence)[:MOST_NEAR]:
             weighed[i] = self._sampled(weighed[i], rng)
-        return [*beginnings.summed(weighed), unknown]
+        return [*beginnings.summed(weighed, weighed[0].net_evidence), unknown]
 
     def _beginnings(self, none: Candidate, effects: Sequence[Effect]) -> Beginnings:
         """Events that causes may begin with, and what they gain linearised about the baseline."""

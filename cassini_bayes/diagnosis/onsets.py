@@ -42,6 +42,7 @@ HALF_NORMAL: Final = tuple(float(ndtri(0.5 + 0.5 * ndtr(abs(size)))) for size in
 LEAST_GAIN: Final = 5.0
 """Nats of a beginning that is searched for: what gains less is as its linear model says (as
 ``search.NEAR_GAIN``)."""
+NOTHING: Final = 1e-9  # nats of a cause that does nothing in any event of the rest
 BEHIND_NATS: Final = 10.0  # of the best, as for draws: less is a probability below 5e-5
 BEHIND_SHARE: Final = 0.15
 """Of the best gain more, by which linear gains may be off: judgement. Where the best turns out to
@@ -135,11 +136,13 @@ class Beginnings:
         probability = share * effect.prior_probability
         return replace(effect, onset=onset, prior_probability=probability)
 
-    def summed(self, weighed: Sequence[Weighed[Any]]) -> list[Weighed[Any]]:
+    def summed(self, weighed: Sequence[Weighed[Any]], beside: float) -> list[Weighed[Any]]:
         """Hypotheses in order, the beginnings of each cause as one.
 
-        What was not searched for and gains little has the evidence that the linear model gives it
-        beside that throughout; what gains more was too far behind to be searched for.
+        ``beside`` is the log evidence of what they are beside, nats. What was not searched for and
+        gains little has the evidence that the linear model gives it, corrected as that throughout
+        is; what gains more was too far behind to be searched for. From an event on in which it
+        does nothing any more, a cause is none.
         """
         if len(self.order) < 2:
             return list(weighed)
@@ -150,25 +153,27 @@ class Beginnings:
                 candidate.hypothesis.causes[-1] if candidate.is_cause else candidate.name, []
             ).append(candidate)
         return [
-            self._sum(mode, place[cause]) if cause in place else mode[0]
+            self._sum(mode, place[cause], beside) if cause in place else mode[0]
             for cause, mode in by_cause.items()
         ]
 
-    def _sum(self, own: Sequence[Weighed[Any]], c: int) -> Weighed[Any]:
+    def _sum(self, own: Sequence[Weighed[Any]], c: int, beside: float) -> Weighed[Any]:
         by_event = {begins_with(weighed): weighed for weighed in own}
         throughout, shares = by_event[""], self.odds.of_onsets(len(self.order))
         events, scores = ("", *self.order[1:]), []
+        prior = throughout.hypothesis.prior_probability / shares[0]
+        factors, off = self.factors[c], throughout.net_evidence - beside - self.factors[c, 0]
         for o, (event, share) in enumerate(zip(events, shares, strict=True)):
             if event in by_event:
                 scores.append(by_event[event].score)
-            elif self.gains[c, o] < LEAST_GAIN:
-                ratio = float(np.log(share / shares[0]) + self.factors[c, o] - self.factors[c, 0])
-                scores.append(throughout.score + ratio)
+            elif NOTHING < self.gains[c, o] < LEAST_GAIN:
+                # the linear model is as wrong as throughout where it says as much
+                alike = float(np.clip(factors[o] / factors[0], 0.0, 1.0)) if factors[0] else 0.0
+                scores.append(beside + float(factors[o]) + alike * off + np.log(share * prior))
             else:
                 scores.append(-np.inf)
         total = float(logsumexp(scores))
         best = max(own, key=lambda weighed: weighed.score)
-        prior = throughout.hypothesis.prior_probability / shares[0]
         return replace(
             best,
             hypothesis=replace(best.hypothesis, prior_probability=prior),

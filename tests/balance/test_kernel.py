@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance import kernel
-from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBand, Turns
+from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBands, Turns
 from cassini_bayes.computing.arrays import Array
 
 
@@ -45,15 +45,19 @@ def test_factor_and_inverse_are_those_of_lapack(size: int) -> None:
 
 
 def equations(
-    beside: Array, own_sd: float = 1.0, turns: tuple[tuple[Array, float], ...] = ()
+    beside: Array,
+    own_sd: float = 1.0,
+    turns: tuple[tuple[Array, float], ...] = (),
+    first: tuple[int, ...] = (0, 4),
 ) -> tuple[Array, Array, Array]:
     """Normal equations of one unknown and the measured momentum, four modes, nothing faster.
 
+    ``beside`` (3, 3), or (S, 3, 3) of bands that begin at the modes ``first``.
     ``turns``: rows (m, 3, 2) of integrated columns and the variance of their noise, by band, bands
     of two rows or fewer first.
     """
     modes = np.random.default_rng(2).standard_normal((3, 2, 4))
-    slow = SlowBand(modes, np.ones(4), np.eye(1), np.zeros(0), np.zeros((4, 0, 2)))
+    slow = SlowBands(modes, np.array(first), np.ones(4))
     fast = FastBands(
         np.zeros((0, 3, 3, 2, 2)),
         np.zeros(0),
@@ -73,7 +77,11 @@ def equations(
     )
     by_turns = np.array([variance * np.eye(3) for _, variance in turns]).reshape(1, -1, 3, 3)
     noise = Noise(
-        np.ones((1, 3, 1)), beside[None, None], np.full((1, 1, 1), 1e-12), np.zeros(1), by_turns
+        np.ones((1, 3, 1)),
+        beside.reshape(1, -1, 3, 3),
+        np.full((1, len(first) - 1, 1), 1e-12),
+        np.zeros(1),
+        by_turns,
     )
     placed = Placed(0, np.zeros((1, 1)), 1.0, np.full((1, 1), own_sd))
     weights = np.ones((1, 2, 3))
@@ -84,13 +92,28 @@ def equations(
 def test_inner_products_of_modes_are_the_sums_written_out() -> None:
     """White noise of three unlike axes: Σ over modes of (y_k)ᵀ W y_l."""
     beside = positive(3, 9) + np.eye(3)
-    normal, log_scale, kept = equations(beside)
+    normal, log_scale, _ = equations(beside)
     modes = np.random.default_rng(2).standard_normal((3, 2, 4))
     covariance = beside + 1e-12
     wanted = np.einsum("akm,ab,blm->kl", modes, np.linalg.inv(covariance), modes)
     assert normal[0] == pytest.approx(wanted, rel=1e-9)
     assert log_scale[0] == pytest.approx(-2.0 * np.linalg.slogdet(covariance)[1], rel=1e-9)
-    assert kept[0, 0] == pytest.approx(np.eye(1))
+
+
+def test_slow_bands_have_noise_of_their_own() -> None:
+    """One mode with one covariance, three with another: the sums of both, and of determinants."""
+    beside = np.stack([positive(3, 9), positive(3, 10)]) + np.eye(3)
+    normal, log_scale, _ = equations(beside, first=(0, 1, 4))
+    modes = np.random.default_rng(2).standard_normal((3, 2, 4))
+    own = (modes[..., :1], modes[..., 1:])
+    covariances = beside + 1e-12
+    wanted = sum(
+        np.einsum("akm,ab,blm->kl", of_band, np.linalg.inv(covariance), of_band)
+        for of_band, covariance in zip(own, covariances, strict=True)
+    )
+    assert normal[0] == pytest.approx(wanted, rel=1e-9)
+    log_dets = np.linalg.slogdet(covariances)[1]
+    assert log_scale[0] == pytest.approx(-0.5 * (log_dets[0] + 3.0 * log_dets[1]), rel=1e-9)
 
 
 def test_turns_add_their_own_products_and_determinants() -> None:

@@ -32,7 +32,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
     """One couple that fired in four intervals, with so many pairs in them."""
     weight = np.array(pairs)[:, None]
     fired = np.ones((4, 1), dtype=bool)
-    open_s2, ratio, coarse = np.array([4e-6]), np.array([np.inf]), np.array([False])
+    open_s2, ratio, every = np.array([4e-6]), np.full((4, 1), np.inf), np.array([1.0])
     return CounterStatistics(
         TIME,
         1,
@@ -44,7 +44,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
         LONG,
         open_s2,
         ratio,
-        coarse,
+        every,
         GAPS_S,
         np.zeros(0),
         0.0,
@@ -119,15 +119,19 @@ def test_a_rounding_lasts_until_the_next_firing() -> None:
     assert found[:, 1] == pytest.approx(2e-3 * ((TIME >= 3.0) & (TIME < 7.0)))
 
 
-@pytest.mark.parametrize("coarse", [False, True])
-def test_levels_bound_by_alike_widths_have_the_stated_covariance(coarse: bool) -> None:
-    """Patterns squared are σ² (1 + D'D/q)⁻¹ seen in the rows, coarse ones with ends alone."""
-    bound = replace(counters([0.0] * 4), open_ratio=np.array([0.3]), coarse=np.array([coarse]))
+@pytest.mark.parametrize(
+    ("every", "seen"), [(1.0, [1, 1, 1, 1, 1]), (2.0, [1, 0, 1, 0, 1]), (np.inf, [1, 0, 0, 0, 1])]
+)
+def test_levels_bound_by_alike_widths_have_the_stated_covariance(
+    every: float, seen: list[float]
+) -> None:
+    """Patterns squared are σ² (1 + Dᵀ Q⁻¹ D)⁻¹ seen in the rows, with ones for readings in use."""
+    ratio = np.array([0.3, 0.3, 5.0, 0.01])
+    bound = replace(counters([0.0] * 4), open_ratio=ratio[:, None], open_every=np.array([every]))
     free = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))[:, 0]
     found = level_patterns(bound, 0, STEP, np.ones((len(TIME), 1)))[:, 0]
     apart = np.diff(np.eye(5), axis=0)
-    seen = np.diag([1.0, 0.0, 0.0, 0.0, 1.0]) if coarse else np.eye(5)
-    covariance = np.linalg.inv(seen + apart.T @ apart / 0.3)
+    covariance = np.linalg.inv(np.diag(seen) + apart.T @ (apart / ratio[:, None]))
     np.testing.assert_allclose(found @ found.T, free @ covariance @ free.T, atol=1e-18)
 
 
@@ -161,6 +165,7 @@ def test_errors_of_short_pulses_are_taken_back_as_far_as_slopes_are_alike(spread
         steps=none,
         slopes=slopes,
         open_s2=np.array([step_s**2 / 12.0]),
+        open_ratio=np.full((firings, 1), np.inf),
     )
     step = (ends[:, None] >= ends).astype(float)
     patterns = level_patterns(known, 0, step, np.ones((firings, 1)))[:, 0]

@@ -15,14 +15,15 @@ is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = ste
 w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). What stays open of the levels
 C_m is a random walk of steps v n̄ seen with white noise σ²: precision (1 + D'D/q)/σ², D the
 differences and q = v n̄/σ². Where q is small, a few hundred firings do not tell v well enough, and
-with it how much of what distinguishes two firings is rounding. Then only the first and the last
-reading are used, E[Δc] = n w, and the precision has ones for these two alone.
+with it how much of what distinguishes two firings is rounding. Then only every 20/q-th reading is
+used: what lies between two of them counts as one firing, whose pulses share its on-time evenly, and
+the precision has ones for these readings alone.
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -35,8 +36,11 @@ LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.
 SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
 LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
-# Of q: with less, a width's variance that is 20 % off moves what neighbours tell of thrust by 3 %.
-LEAST_RATIO: Final = 20.0
+SPREAD_ERROR: Final = 0.3  # of the widths' variance, as some dozens of firings tell it
+MOST_BIAS: Final = 1e-3  # of thrust, by an error of the widths' variance
+FREEDOM: Final = 4.0  # degrees of freedom of widths: two pulses in a row count as one long one
+ROUNDS: Final = 6  # of expectation and maximisation: the spread has settled to some percent
+NEARBY: Final = 3  # spreads on either side of the best that are tried in the next round
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
@@ -53,18 +57,19 @@ class OnTimes:
     rounding: tuple[Rounding, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rounding:
-    """What a rounded counter leaves open of its levels: precision (1 + D'D/q)/σ².
+    """What a rounded counter leaves open of its levels: precision (1 + Dᵀ Q⁻¹ D)/σ².
 
-    ``variance_s2`` is σ², none of a counter that is known; ``ratio`` is q, infinite where nothing
-    is known of the widths. With ``coarse`` the 1 is there for the first and last level only.
-    ``width_s`` is the mean width of a pulse.
+    ``variance_s2`` is σ², none of a counter that is known; ``ratio`` (m − 1,) is Q, the variance
+    over σ² of what is gained in every interval between two readings, of no length where nothing is
+    known of the widths. The 1 is there for about every ``every``-th level alone
+    (:func:`read_levels`). ``width_s`` is the mean width of a pulse.
     """
 
     variance_s2: float = 0.0
-    ratio: float = np.inf
-    coarse: bool = False
+    ratio: Array = field(default_factory=lambda: np.zeros(0))
+    every: float = 1.0
     width_s: float = np.inf
 
     @property
@@ -183,49 +188,94 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Ro
     rounding = step_s**2 / 12.0
     if len(seconds) < LEAST_RUNS:
         return on_time_s, Rounding(rounding)
-    spread = max(SPREADS, key=lambda s: _log_likelihood(seconds, count, s, rounding))
-    width = _mean_width(seconds, count, spread, rounding)
-    ratio = float(spread * count.mean())
-    if coarse := ratio < LEAST_RATIO:
-        expected = count * (seconds.sum() / count.sum())
-    else:
-        missed = _solve(seconds - count * width, count, spread, rounding)
-        expected = count * width + spread * rounding * count * missed
+    spreads = _spreads(seconds, count, rounding)
+    mean = float(seconds.sum() / count.sum())
+    every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (mean * count.mean()))
+    starts = read_levels(len(seconds) + 1, every)[:-1]
+    together, begun, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
+    width = _mean_width(together, begun, own, rounding)
+    widths = width + own / begun * rounding * _solve(together - begun * width, own, rounding)
+    expected = count * np.repeat(widths, np.diff(starts, append=len(seconds)))
     # Within a run by what the readings show; a run too short to show anything, by its pulses.
     shown = np.where(seconds[run] > 0.0, change[active], np.diff(pulses)[active])
     share = shown / np.bincount(run, shown)[run]
-    gained = np.zeros_like(change)
-    gained[active] = expected[run] * share
+    gained, ratio = np.zeros_like(change), np.zeros_like(change)
+    gained[active], ratio[active] = expected[run] * share, spreads[run] * share
     on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
-    return on_time, Rounding(rounding, ratio, coarse, float(seconds.sum() / count.sum()))
+    return on_time, Rounding(rounding, ratio, every, mean)
 
 
-def _banded(count: Array, spread: float, rounding: float) -> Array:
-    """Upper form of v diag(n) + σ² tridiag(−1, 2, −1) with v = spread σ², the ends' roundings too.
+def _spreads(seconds: Array, count: Array, rounding: float) -> Array:
+    """Variances (R,) of firings' on-times over σ²: of one spread, times how far each departs.
+
+    By expectation and maximisation for widths that are Student's t: a pulse that is twice as long
+    as all others is believed, and does not make the others uncertain. The spread is its mean, and
+    not where its likelihood is largest: few firings often say "none at all".
+    """
+    scaled, tried = count, SPREADS
+    for _ in range(ROUNDS):
+        log_p = np.array([_log_likelihood(seconds, count, s * scaled, rounding) for s in tried])
+        best = int(np.argmax(log_p)) + int(np.searchsorted(SPREADS, tried[0]))
+        spread = float(np.average(tried, weights=np.exp(log_p - log_p.max())))
+        tried = SPREADS[max(best - NEARBY, 0) : best + NEARBY + 1]
+        own = spread * scaled
+        missed = seconds - count * _mean_width(seconds, count, own, rounding)
+        departs = rounding * own * _solve(missed, own, rounding)
+        squares = departs**2 / (rounding * np.maximum(spread, SPREADS[1]) * count)
+        scaled = count * (FREEDOM + squares) / (FREEDOM + 1.0)
+    return spread * scaled
+
+
+def _spacing(ratio: float, rounding: float) -> float:
+    """Firings between two readings that are used; ``rounding`` is σ over the mean firing w.
+
+    The sum of L firings is expected at its mean and the share s = qL/(qL + 2) of what a reading
+    departs from it. A variance of the widths that is off by a share δ changes s by δ s (1 − s), and
+    thrust by as much times q σ²/(L w²).
+    """
+    if ratio == 0.0:
+        return 1.0
+    return float(max(rounding * np.sqrt(2.0 * SPREAD_ERROR / MOST_BIAS) - 2.0 / ratio, 1.0))
+
+
+def read_levels(levels: int, every: float) -> Places:
+    """Places (n,) of the readings that are used of so many: first, last, and evenly between.
+
+    ``every`` is how many firings lie between two of them at least.
+    """
+    pieces = max(int((levels - 1) / every), 1)
+    return np.unique(np.round(np.linspace(0.0, levels - 1.0, pieces + 1)).astype(np.int64))
+
+
+def _banded(spreads: Array, rounding: float) -> Array:
+    """Upper form of V + σ² tridiag(−1, 2, −1), V diagonal with spreads σ², the ends' roundings too.
 
     The reading before the first run is rounded like all others.
     """
-    bands = np.zeros((2, len(count)))
+    bands = np.zeros((2, len(spreads)))
     bands[0, 1:] = -rounding
-    bands[1] = rounding * (spread * count + 2.0)
+    bands[1] = rounding * (spreads + 2.0)
     return bands
 
 
-def _solve(values: Array, count: Array, spread: float, rounding: float) -> Array:
-    return np.asarray(solveh_banded(_banded(count, spread, rounding), values), dtype=np.float64)
+def _solve(values: Array, spreads: Array, rounding: float) -> Array:
+    bands = _banded(spreads, rounding)
+    if len(spreads) == 1:  # no band for the library's solver
+        return np.asarray(values / bands[1])
+    return np.asarray(solveh_banded(bands, values), dtype=np.float64)
 
 
-def _mean_width(seconds: Array, count: Array, spread: float, rounding: float) -> float:
+def _mean_width(seconds: Array, count: Array, spreads: Array, rounding: float) -> float:
     """Generalised least squares of Δu = n w."""
-    weighted = _solve(count, count, spread, rounding)
+    weighted = _solve(count, spreads, rounding)
     return float(weighted @ seconds / (weighted @ count))
 
 
-def _log_likelihood(seconds: Array, count: Array, spread: float, rounding: float) -> float:
+def _log_likelihood(seconds: Array, count: Array, spreads: Array, rounding: float) -> float:
     """Restricted log likelihood of the widths' spread, w profiled out; constants left out."""
-    bands = _banded(count, spread, rounding)
+    bands = _banded(spreads, rounding)
     log_det = 2.0 * float(np.log(cholesky_banded(bands)[1]).sum())
-    by_count = _solve(count, count, spread, rounding)
-    missed = seconds - count * _mean_width(seconds, count, spread, rounding)
-    square = float(missed @ _solve(missed, count, spread, rounding))
+    by_count = _solve(count, spreads, rounding)
+    missed = seconds - count * _mean_width(seconds, count, spreads, rounding)
+    square = float(missed @ _solve(missed, spreads, rounding))
     return float(-0.5 * (square + log_det + np.log(by_count @ count)))

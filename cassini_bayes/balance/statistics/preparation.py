@@ -109,7 +109,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
-    found = Preparation(steps, noise, expected.rounding, gaps, widths, late)
+    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, end_s)
 
 

@@ -8,7 +8,7 @@ not depend on the number of samples (``docs/topics/telemetry-likelihood.md`` §6
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ from cassini_bayes.balance.statistics.columns import (
 )
 from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
-from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import (
     SLOPE_WAVES,
     PieceRule,
@@ -116,8 +116,8 @@ class CounterStatistics:
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
     (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter,
     ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
-    on-time (:class:`Pairs`); ``open_s2``, ``open_ratio``
-    and ``coarse`` (G,) say what rounded counters leave open of a couple's levels
+    on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
+    and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known. Where rows have pulses
@@ -135,7 +135,7 @@ class CounterStatistics:
     slopes: Array
     open_s2: Array
     open_ratio: Array
-    coarse: NDArray[np.bool_]
+    open_every: Array
     gaps_s: Array
     widths_s: Array
     block_s: float
@@ -194,7 +194,8 @@ class Preparation:
 
     steps: ChannelSteps = ChannelSteps()
     noise: ChannelNoise = NOT_SEEN
-    rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters
+    read_s: Array = field(default_factory=lambda: np.zeros(0))  # (m,) readings around changes
+    rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
     late: LateRows = LateRows()  # without rows between firings
@@ -317,7 +318,6 @@ def reduce_chunks(
         Fewer than five rows can be used, or a counter's steps are longer than the pulses.
     """
     prepared = prepared or Preparation()
-    by_couple = _by_couple(prepared.rounding, layout)
     sampling = replace(
         sampling,
         widths_s=prepared.widths_s,
@@ -362,9 +362,7 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(
-            carry.pairs, times, sampling, by_couple, layout.couples, prepared.late, averaged
-        ),
+        counters=_counter_statistics(carry.pairs, times, sampling, prepared, layout, averaged),
         steps=prepared.steps,
         noise=prepared.noise,
         shown=ShownWheels(wheels.values),
@@ -418,9 +416,8 @@ def _counter_statistics(
     pairs: Pairs,
     times: Thinned,
     sampling: Sampling,
-    by_couple: Sequence[Rounding],
-    couples: Sequence[Sequence[int]],
-    late: LateRows,
+    prepared: Preparation,
+    layout: Layout,
     averaged: float,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
@@ -431,11 +428,13 @@ def _counter_statistics(
     first = np.flatnonzero(number % every == 0)
     weight, unlike, slopes, fired = pairs.weight, pairs.unlike, pairs.slopes, pairs.fired
     steps = pairs.steps(sampling.pair_s2)
+    by_couple, late = _by_couple(prepared.rounding, layout), prepared.late
+    ratio = _open_ratios(by_couple, prepared.read_s, pairs.end_s)
     if every > 1:
         together = np.maximum(np.add.reduceat(fired.astype(np.float64), first, axis=0), 1.0)
         slopes = np.add.reduceat(slopes, first, axis=0) / together[..., None]
-        weight, unlike, steps = (
-            np.add.reduceat(of_all, first, axis=0) for of_all in (weight, unlike, steps)
+        weight, unlike, steps, ratio = (
+            np.add.reduceat(of_all, first, axis=0) for of_all in (weight, unlike, steps, ratio)
         )
         fired = np.logical_or.reduceat(fired, first, axis=0)
     return CounterStatistics(
@@ -448,17 +447,27 @@ def _counter_statistics(
         steps,
         slopes,
         np.array([one.variance_s2 for one in by_couple]),
-        np.array([one.ratio for one in by_couple]),
-        np.array([one.coarse for one in by_couple], dtype=np.bool_),
+        ratio,
+        np.array([one.every for one in by_couple]),
         np.array(sampling.gaps_s),
         np.array(sampling.widths_s),
         sampling.block_s,
         averaged,
         late.width_s,
-        np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in couples])
+        np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in layout.couples])
         if late.rate_hz
         else np.zeros(len(by_couple)),
     )
+
+
+def _open_ratios(by_couple: Sequence[Rounding], read_s: Array, end_s: Array) -> Array:
+    """Of every couple's :class:`Rounding`, at the ends (R,) of intervals with firings, (R, G)."""
+    result = np.full((len(end_s), len(by_couple)), np.inf)
+    place = np.searchsorted(read_s[1:], end_s - SAME_S)
+    for g, one in enumerate(by_couple):
+        if len(one.ratio) > 0:
+            result[:, g] = one.ratio[place]
+    return result
 
 
 def _by_couple(rounding: Sequence[Rounding], layout: Layout) -> list[Rounding]:
