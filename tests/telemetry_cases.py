@@ -302,6 +302,22 @@ def is_quiet(samples: Samples, row: int, guard_s: float) -> bool:
     )
 
 
+@cache
+def _others(usual: tuple[float, ...], smooth: float) -> dict[int, dict[int, float]]:
+    """How likely all pulses but one of a few add up to so many ms, by their number."""
+    reach = int(np.ceil(5.0 * smooth / 1e-3))
+    have = {i: float(np.exp(-0.5 * (i * 1e-3 / smooth) ** 2)) for i in range(-reach, reach + 1)}
+    found = {}
+    for count in range(2, 7):
+        more: dict[int, float] = {}
+        for place, chance in have.items():
+            for one in usual:
+                own = place + round(one * 1e3)
+                more[own] = more.get(own, 0.0) + chance / len(usual)
+        found[count] = have = more
+    return found
+
+
 class PlainPulses:
     """Effective on-time of pulses (first_order) at given time constants, one at a time.
 
@@ -311,6 +327,7 @@ class PlainPulses:
 
     def __init__(self, sampling: Sampling, tau: tuple[float, ...]) -> None:
         self.usual, self.tau = np.array(sampling.widths_s), tau
+        self.smooth = np.hypot(1.5e-3, sampling.unsure_s)
         _, self.rise, self.fall = sampling.pulse_reference_s
         long = min(sampling.widths_s, default=0.0) >= 0.12
         self.nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
@@ -349,6 +366,21 @@ class PlainPulses:
         least, most = min(self.usual, default=width), max(self.usual, default=width)
         return count == 1.0 or not least + 1e-9 < width < most - 1e-9
 
+    def by_sum(self, width: float, count: float) -> Array | None:
+        """How likely each of the event's widths is if a few add up to the sum; None if none do."""
+        if not 2.0 <= count <= 6.0:
+            return None
+        others = _others(tuple(self.usual), float(self.smooth))[int(count)]
+        result = np.zeros(len(self.usual))
+        for q, one in enumerate(self.usual):
+            at = (count * width - one) * 1e3
+            below = int(np.floor(at))
+            ends = (others.get(below, 0.0), others.get(below + 1, 0.0))
+            if min(others) <= at <= max(others):
+                result[q] = ends[0] + (at - below) * (ends[1] - ends[0])
+        possible = result.mean() > 1e-4 * max(others.values())
+        return result / result.sum() if possible else None
+
     def chances(self, width: float) -> Array:
         """Probabilities of the event's widths, by exp(slope width), with this mean."""
 
@@ -367,7 +399,12 @@ class PlainPulses:
         """Effective on-time of one of so many pulses, less one's share of the scatter."""
         if self.alike(width, count):
             return self.fitted(width)
-        mixed = float(self.chances(width) @ [self.fitted(one) for one in self.usual])
+        each = np.array([self.fitted(one) for one in self.usual])
+        chance = self.by_sum(width, count)
+        if chance is not None:
+            missing = self.fitted(width) - self.fitted(float(chance @ self.usual))
+            return float(chance @ each) + missing
+        mixed = float(self.chances(width) @ each)
         return mixed + (self.fitted(width) - mixed) / count
 
     def slope(self, width: float, count: float) -> float:
@@ -382,7 +419,16 @@ class PlainPulses:
             return self.scattered[width, count]
         result = 0.0
         if not self.alike(width, count):
-            chance = np.sqrt(self.chances(width))
+            told = self.by_sum(width, count)
+            if told is not None and count == 2.0:
+                both = [
+                    self.fitted(one) + self.fitted(max(2.0 * width - one, 0.0))
+                    for one in self.usual
+                ]
+                result = float(told @ (both - told @ both) ** 2)
+                self.scattered[width, count] = result
+                return result
+            chance = np.sqrt(self.chances(width) if told is None else told)
             linear = np.stack([np.ones_like(self.usual), self.usual], axis=1)
             each = np.array([self.fitted(one) for one in self.usual])
             fit = np.linalg.lstsq(chance[:, None] * linear, chance * each, rcond=None)[0]

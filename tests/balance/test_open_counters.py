@@ -48,6 +48,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
         GAPS_S,
         np.zeros(0),
         0.0,
+        0.0,
         1.0,
         0.0,
         np.zeros(1),

@@ -113,7 +113,8 @@ class Sampling:
     ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). Those of
     ``noise_to_see`` are taken from the event where it shows them (:mod:`.channel_noise`).
-    ``widths_s`` are what pulses of the event are like, all as likely (:class:`.PulseBasis`), and
+    ``widths_s`` are what pulses of the event are like, all as likely, ``unsure_s`` how well the
+    on-time of a firing is known (:class:`.PulseBasis`), and
     ``gaps_s`` the times after which close ones follow (without, a control cycle). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
     whatever is still being delivered then (:mod:`.late`).
@@ -131,6 +132,7 @@ class Sampling:
     reference_noise: tuple[tuple[str, float], ...] = ()
     noise_to_see: tuple[str, ...] = ()
     widths_s: tuple[float, ...] = ()
+    unsure_s: float = 0.0
     gaps_s: tuple[float, ...] = ()
     block_s: float = 0.0
 
@@ -145,7 +147,8 @@ class Sampling:
     @cached_property
     def pulses(self) -> PulseBasis:
         """Columns and weights of pulses."""
-        return PulseBasis(self.pulse_shape, self.pulse_reference_s, self.widths_s)
+        reference = self.pulse_reference_s
+        return PulseBasis(self.pulse_shape, reference, self.widths_s, self.unsure_s)
 
 
 def walk_cosines(duration_s: float) -> int:

@@ -77,6 +77,15 @@ class Rounding:
         """Step of the counter, 0 where it is known."""
         return float(np.sqrt(12.0 * self.variance_s2))
 
+    @property
+    def unsure_s2(self) -> float:
+        """Variance of a usual firing's on-time, given both readings and those of all others, s²."""
+        fired = self.ratio[self.ratio > 0.0]
+        if len(fired) == 0:
+            return 2.0 * self.variance_s2
+        usual = float(np.median(fired))
+        return 2.0 * self.variance_s2 * usual / (usual + 2.0)
+
 
 KNOWN: Final = Rounding()
 

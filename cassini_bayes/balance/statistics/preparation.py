@@ -6,6 +6,7 @@ counter changes are kept.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass, replace
 from typing import Final
@@ -27,7 +28,8 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
-QUANTILES: Final = 12  # that stand for all gaps, and for all widths
+QUANTILES: Final = 12  # that stand for all gaps
+WIDTHS: Final = 48  # that stand for all widths
 # Rows between firings per row at a reading: with fewer, all that are at readings tell more.
 LEAST_QUIET: Final = 0.1
 # Controllers answer what is late; within a block of this length they have done so.
@@ -96,7 +98,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     step_s = counter_step(on_time)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
-    widths = _quantiles(single_widths(expected.on_time_s, on_time, pulses))
+    widths = _typical(single_widths(expected.on_time_s, on_time, pulses))
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
     read = np.r_[time, end_s]
@@ -109,7 +111,8 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
-    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
+    unsure = math.sqrt(max(one.unsure_s2 for one in expected.rounding))
+    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, unsure, late)
     return Prepared(found, time, expected.on_time_s, end_s)
 
 
@@ -157,6 +160,15 @@ def _quantiles(values: Array) -> tuple[float, ...]:
     if len(values) < LEAST_ALONE:
         return ()
     return tuple(np.quantile(values, (np.arange(QUANTILES) + 0.5) / QUANTILES).tolist())
+
+
+def _typical(widths_s: Array) -> tuple[float, ...]:
+    """:data:`WIDTHS` of the widths that stand for all; none of fewer than :data:`LEAST_ALONE`."""
+    if len(widths_s) < LEAST_ALONE:
+        return ()
+    share = (np.arange(WIDTHS) + 0.5) / WIDTHS
+    # widths that occur: between pulses of 63 and of 125 ms there may be none
+    return tuple(np.quantile(widths_s, share, method="inverted_cdf").tolist())
 
 
 def channel_step(values: Array) -> float:

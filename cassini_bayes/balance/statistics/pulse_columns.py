@@ -33,6 +33,10 @@ WIDTHS_S: Final = (0.012, 0.04, 0.5)
 LONG_S: Final = 0.12
 # (20 µs)² of a firing, 0.3 ms after some hundred: less than what torque noise does in a minute
 LEAST_SCATTER_S2: Final = 4e-10
+FEW: Final = 6  # pulses of a firing, whose widths are looked for one by one
+GRID_S: Final = 1e-3  # of sums of their widths, and by how much these may be off (one standard
+SMOOTH_S: Final = 1.5e-3  # deviation): commands are no exact sample of those seen elsewhere
+LEAST_CHANCE: Final = 1e-4  # of the likeliest sum: below it no widths of the event add up to it
 PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S))
 # Multiples of the reference time constants at which the functions of the width are fitted: what
 # priors allow (two standard deviations are 0.25 of τ_rise and 0.8 of τ_fall), and beyond.
@@ -49,11 +53,13 @@ class PulseBasis:
 
     ``reference_s`` are the τ_delay, τ_rise, τ_fall at which the first column is exact, in s.
     ``widths_s`` are what single pulses are like, all as likely; none if that is not known.
+    ``unsure_s`` is how well the on-time of a firing is known, one standard deviation.
     """
 
     shape: PulseShape
     reference_s: tuple[float, float, float]
     widths_s: tuple[float, ...] = ()
+    unsure_s: float = 0.0
 
     @cached_property
     def nodes_s(self) -> Array:
@@ -72,17 +78,19 @@ class PulseBasis:
         """Mean of the columns (R, 1 + J) of ``count`` (R,) pulses whose mean width is known, s.
 
         The effective time is not linear in the width: short and long pulses deliver less than as
-        many of their mean width. Given that mean m, widths w_q have probabilities that go as
-        exp(λ w_q), with λ such that Σ p_q w_q = m; of n pulses with a given sum, each has 1 − 1/n
-        of that scatter.
+        many of their mean width. Of a few pulses the sum tells which widths they may have: those
+        of the event that add up to it. Of many, or where none add up to it, widths w_q have
+        probabilities that go as exp(λ w_q), with λ such that Σ p_q w_q is the mean m; each of n
+        pulses then has 1 − 1/n of that scatter.
         """
         alike = self.columns(mean_s)
         widths = np.array(self.widths_s)
         inside = self._scatters(mean_s, count)
         if inside.any():
-            share = 1.0 - 1.0 / count[inside, None]
-            mixed = _tilted(widths, mean_s[inside]) @ self.columns(widths)
-            alike[inside] += share * (mixed - alike[inside])
+            chance, share = self._chances(mean_s[inside], count[inside])
+            mixed = chance @ self.columns(widths) - self.columns(chance @ widths)
+            mixed += self.columns(mean_s[inside]) - alike[inside]
+            alike[inside] += share[:, None] * mixed
         return alike
 
     def slopes(self, mean_s: Array, count: Array) -> Array:
@@ -100,21 +108,26 @@ class PulseBasis:
         """Covariance (R, C, C), s², of what columns of unlike pulses gain beyond what is expected.
 
         Of widths w with a known sum: each pulse scatters as the part of the columns does that is
-        not linear in w (right for many; the true variance is 1.0 to 1.7 times it for two to
-        sixteen).
+        not linear in w (right for many; the true variance is 1.0 to 1.7 times it for three to
+        sixteen). Of two pulses, the second has what the first leaves.
         """
         result = np.zeros((len(count), len(PULSE_COLUMNS), len(PULSE_COLUMNS)))
         widths, inside = np.array(self.widths_s), self._scatters(mean_s, count)
         if not inside.any():
             return result
-        chance, columns = _tilted(widths, mean_s[inside]), self.columns(widths)
+        chance, share = self._chances(mean_s[inside], count[inside])
+        columns = self.columns(widths)
         away = widths - (chance @ widths)[:, None]  # near an end of the range not the mean
         off = columns - (chance @ columns)[:, None]
         by_width = np.einsum("rq,rq,rqc->rc", chance, away, off)
         variance = np.maximum((chance * away**2).sum(axis=1), np.finfo(float).tiny)
         off = off - away[:, :, None] * (by_width / variance[:, None])[:, None]
-        of_one = np.einsum("rq,rqc,rqd->rcd", chance, off, off)
-        result[inside] = count[inside, None, None] * of_one
+        off *= np.sqrt(count[inside, None, None])
+        two = (count[inside] == 2.0) & (share == 1.0)
+        left_s = np.maximum(2.0 * mean_s[inside][two, None] - widths, 0.0)
+        both = columns + self.columns(left_s)
+        off[two] = both - np.einsum("rq,rqc->rc", chance[two], both)[:, None]
+        result[inside] = np.einsum("rq,rqc,rqd->rcd", chance, off, off)
         most = np.einsum("tc,rcd,td->rt", self._weights, result, self._weights, optimize=True)
         result[most.max(axis=1) < LEAST_SCATTER_S2] = 0.0
         return result
@@ -125,6 +138,38 @@ class PulseBasis:
             return np.zeros(len(count), dtype=bool)
         within = (mean_s > min(self.widths_s)) & (mean_s < max(self.widths_s))
         return np.asarray((count > 1.0) & within)
+
+    def _chances(self, mean_s: Array, count: Array) -> tuple[Array, Array]:
+        """Probabilities (R, Q) of widths in firings, and the share (R,) of their scatter."""
+        widths = np.array(self.widths_s)
+        chance, share = _tilted(widths, mean_s), 1.0 - 1.0 / count
+        for n, sums in self._sums.items():
+            own = np.flatnonzero(count == n)
+            others_s = n * mean_s[own, None] - widths
+            found = np.interp(others_s / GRID_S, np.arange(len(sums)) - self._reach, sums, 0.0, 0.0)
+            possible = found.mean(axis=1) > LEAST_CHANCE * sums.max()
+            own, found = own[possible], found[possible]
+            chance[own], share[own] = found / found.sum(axis=1, keepdims=True), 1.0
+        return chance, share
+
+    @cached_property
+    def _reach(self) -> int:
+        """Steps of the grid that a sum is smoothed over, on either side."""
+        return int(np.ceil(5.0 * self._smooth_s / GRID_S))
+
+    @property
+    def _smooth_s(self) -> float:
+        return float(np.hypot(SMOOTH_S, self.unsure_s))
+
+    @cached_property
+    def _sums(self) -> dict[int, Array]:
+        """How likely the other n − 1 of n pulses add up to so much, on a grid, by n."""
+        one = np.bincount(np.round(np.array(self.widths_s) / GRID_S).astype(np.int64))
+        offset = GRID_S * np.arange(-self._reach, self._reach + 1)
+        others, result = np.exp(-0.5 * (offset / self._smooth_s) ** 2), {}
+        for n in range(2, FEW + 1):
+            result[n] = others = np.convolve(others, one / one.sum())
+        return result
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""

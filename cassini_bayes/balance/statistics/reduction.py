@@ -120,7 +120,8 @@ class CounterStatistics:
     and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
-    (m,) are widths of pulses, all as likely, none if they are not known. Where rows have pulses
+    (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
+    on-time of a firing is known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
     is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire.
     """
@@ -138,6 +139,7 @@ class CounterStatistics:
     open_every: Array
     gaps_s: Array
     widths_s: Array
+    unsure_s: float
     block_s: float
     averaged: float
     late_width_s: float
@@ -153,6 +155,7 @@ class CounterStatistics:
         return replace(
             sampling,
             widths_s=tuple(self.widths_s.tolist()),
+            unsure_s=self.unsure_s,
             gaps_s=tuple(self.gaps_s.tolist()),
             block_s=self.block_s,
         )
@@ -198,6 +201,7 @@ class Preparation:
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
+    unsure_s: float = 0.0  # of the on-time of a firing
     late: LateRows = LateRows()  # without rows between firings
 
 
@@ -321,6 +325,7 @@ def reduce_chunks(
     sampling = replace(
         sampling,
         widths_s=prepared.widths_s,
+        unsure_s=prepared.unsure_s,
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
         block_s=prepared.late.block_s,
     )
@@ -451,6 +456,7 @@ def _counter_statistics(
         np.array([one.every for one in by_couple]),
         np.array(sampling.gaps_s),
         np.array(sampling.widths_s),
+        sampling.unsure_s,
         sampling.block_s,
         averaged,
         late.width_s,
