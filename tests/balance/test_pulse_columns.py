@@ -85,7 +85,7 @@ def test_unlike_pulses_deliver_what_is_expected_of_them() -> None:
 def test_two_pulses_are_told_by_their_sum() -> None:
     """Of pulses of 7, 63 and 125 ms, two that add up to 132 ms are a short and a long one.
 
-    Taken as two of 66 ms, or of all widths with that mean, they would deliver 36 or 24 ms too much.
+    Taken as two of 66 ms, or of all widths with that mean, they would deliver some 110 or 80 ms too much.
     Two that add up to 126 ms may be two of 63 ms alone; nothing adds up to 30 ms, so that the mean
     of all with this sum is taken.
     """
@@ -98,7 +98,7 @@ def test_two_pulses_are_told_by_their_sum() -> None:
     assert found[0] == pytest.approx(alone[0] + alone[2], abs=5e-4)
     assert found[1] == pytest.approx(2.0 * alone[1], abs=5e-4)
     alike = 2.0 * basis.columns(mean)[:, 0]
-    assert alike[0] - found[0] > 0.03
+    assert alike[0] - found[0] > 0.1
     assert found[2] != pytest.approx(alike[2], abs=1e-3)
     assert basis.scatter(mean[:2], two[:2])[:, 0, 0] == pytest.approx(0.0, abs=2e-5)
 
