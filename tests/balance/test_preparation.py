@@ -1,4 +1,4 @@
-"""A first look at telemetry: how long after a pulse the next one may begin."""
+"""A first look at telemetry: after how long a pulse may follow another, and steps of channels."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
+    channel_step,
     close_gaps,
     single_widths,
 )
@@ -55,3 +56,18 @@ def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
     assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S) == ()
     on_time, pulses = counted(np.full(40, 0.05))
     assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, 0.0) == ()
+
+
+def test_few_values_one_step_apart_tell_the_step() -> None:
+    """Wheels that rest between two printed values of 1 rpm, in a quiescent event.
+
+    Constant readings tell no step, and neither do values that are no multiples of their difference.
+    """
+    rest = np.array([[96.0, -383.0, -528.0]] * 40)
+    rest[::3, 0] += 1.0
+    rest[7, 2] -= 1.0
+    assert channel_step(rest) == pytest.approx(1.0)
+    assert channel_step(0.05 * rest) == pytest.approx(0.05)
+    assert channel_step(rest[1:3]) == 0.0
+    assert channel_step(rest + 0.3) == 0.0
+    assert channel_step(1.7 * rest) == 0.0

@@ -175,7 +175,7 @@ def channel_step(values: Array) -> float:
     """Largest 1, 2 or 5 times a power of ten that all values are multiples of, to print; else 0."""
     every = np.unique(values[np.isfinite(values)])
     if len(every) < LEAST_VALUES:
-        return 0.0
+        return _step_of_few(values, every)
     largest = float(np.abs(every).max())
     top = int(np.floor(np.log10(np.diff(every).max())))
     for exponent in range(top, int(np.floor(np.log10(largest))) - 9, -1):
@@ -185,6 +185,23 @@ def channel_step(values: Array) -> float:
             if np.all(np.abs(ratio - np.round(ratio)) < _SAME):
                 return step
     return 0.0
+
+
+def _step_of_few(values: Array, every: Array) -> float:
+    """Step of channels (n, c) that show few values, as those of wheels that rest between two.
+
+    Their values differ by one step at least: the least difference within a channel is the step if
+    it is 1, 2 or 5 times a power of ten and all values are multiples of it.
+    """
+    columns = values.reshape(len(values), -1).T
+    gaps = [np.diff(np.unique(own[np.isfinite(own)])).min(initial=np.inf) for own in columns]
+    least = float(min(gaps, default=np.inf))
+    if not np.isfinite(least):
+        return 0.0
+    digit = least / 10.0 ** np.floor(np.log10(least) + _SAME)
+    ratio = every / least
+    is_printed = np.abs(digit - np.array([1.0, 2.0, 5.0])).min() < 10.0 * _SAME
+    return least if is_printed and np.all(np.abs(ratio - np.round(ratio)) < _SAME) else 0.0
 
 
 class _Readings:
