@@ -86,8 +86,8 @@ def test_two_pulses_are_told_by_their_sum() -> None:
     """Of pulses of 7, 63 and 125 ms, two that add up to 132 ms are a short and a long one.
 
     Taken as two of 66 ms, or of all widths with that mean, they would deliver some 110 or 80 ms too
-    much. Two that add up to 126 ms may be two of 63 ms alone; nothing adds up to 30 ms, so that the mean
-    of all with this sum is taken.
+    much. Two that add up to 126 ms may be two of 63 ms alone; nothing adds up to 30 ms, so that the
+    mean of all with this sum is taken.
     """
     usual = (0.007,) * 4 + (0.063,) * 4 + (0.125,) * 4
     shape, tau = PULSE_SHAPES["first_order"], (0.005, 0.02, 0.2)
