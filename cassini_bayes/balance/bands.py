@@ -52,11 +52,10 @@ _NODES: Final = 800  # of the table and of the integral over s: the density is r
 class Band:
     """Part of the row space: modes of similar frequency, or all that is faster than the modes.
 
-    ``walk`` (R,) or (1,)
-    are the variances of a unit random walk's modes, s, and ``faster`` what the noise has of them:
-    in the slow bands all but the walk's mean and its slowest cosines, which are unknowns.
-    ``motion`` is None where wheels move by any amount at all frequencies. ``left_open`` are mean
-    squares of what counters leave open, and ``wheels`` those of the noise of wheel rates.
+    ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s, and ``faster`` what
+    the noise has of them: in the slow bands all but the walk's mean and its slowest cosines, which
+    are unknowns. ``motion`` is None where wheels move by any amount. ``left_open`` are mean squares
+    of what counters leave open, and ``wheels`` those of the noise of wheel rates.
     """
 
     rows: int

@@ -166,7 +166,9 @@ class Beginnings:
         for o, (event, share) in enumerate(zip(events, shares, strict=True)):
             if event in by_event:
                 scores.append(by_event[event].score)
-            elif NOTHING < self.gains[c, o] < LEAST_GAIN:
+            elif abs(factors[o]) <= NOTHING and self.gains[c, o] <= NOTHING:
+                scores.append(-np.inf)
+            elif self.gains[c, o] < LEAST_GAIN:
                 # the linear model is as wrong as throughout where it says as much
                 alike = float(np.clip(factors[o] / factors[0], 0.0, 1.0)) if factors[0] else 0.0
                 scores.append(beside + float(factors[o]) + alike * off + np.log(share * prior))

@@ -8,14 +8,15 @@ readings takes them for the difference between thrust and tail-off, and finds to
 (regression calibration), and to count what that leaves open as noise.
 
 Where commands come in a control cycle's quantum and every reading agrees with a multiple of it, C_m
-is known exactly. Otherwise widths are taken as N(w, v), so that with σ² = step²/12
+is known exactly. Otherwise the on-time of firing m has the variance v_m about n w, so that with σ²
+= step²/12
 
-    Δu_m = n_m w + e_m + δ_m − δ_{m−1},   Var(Δu) = v diag(n) + σ² tridiag(−1, 2, −1),
+    Δu_m = n_m w + e_m + δ_m − δ_{m−1},   Var(Δu) = diag(v) + σ² tridiag(−1, 2, −1),
 
-w and v by maximum likelihood; E[Δc | u] = n w + v n Var⁻¹ (Δu − n w). What stays open of the levels
-C_m is a random walk of steps v n̄ seen with white noise σ²: precision (1 + D'D/q)/σ², D the
-differences and q = v n̄/σ². Where q is small, a few hundred firings do not tell v well enough, and
-with it how much of what distinguishes two firings is rounding. Then only every 20/q-th reading is
+w by least squares and v_m = v n_m times how far the firing departs, as of Student's t; E[Δc | u] =
+n w + diag(v) Var⁻¹ (Δu − n w). What stays open of the levels C_m is a random walk of steps v_m seen
+with white noise σ²: precision (1 + Dᵀ Q⁻¹ D)/σ², D the differences and Q = diag(v)/σ². Where steps
+are not short beside the firings, an error of v is one of thrust. Then only some of the readings are
 used: what lies between two of them counts as one firing, whose pulses share its on-time evenly, and
 the precision has ones for these readings alone.
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
