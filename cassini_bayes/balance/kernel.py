@@ -125,13 +125,13 @@ def normal_equations(
     (docs/topics/telemetry-likelihood.md §3).
     """
     n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
-    size, modes = slow.projection.shape[1], slow.walk.size
-    slow_bands, bands = slow.first.size - 1, fast.rows.size
-    most = max(modes, turns.projection.shape[2])
+    size, slow_bands, bands = slow.projection.shape[1], slow.first.size - 1, fast.rows.size
+    most = max(slow.walk.size, turns.projection.shape[2])
     normal, log_scale = np.zeros((n, width, width)), np.empty(n)
     kept, lacking = np.empty((n, bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
-    other, covariance, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    other, covariance = np.empty((3, 3)), np.empty((3, 3))
+    axes = np.empty((max(slow_bands, 1), 3, 3))
     precision = np.empty((2, 3, 3))
     gain, on_modes = np.empty((3, most)), np.empty((width, 3 * most))
     is_told = fast.nodes.size > 0
@@ -142,17 +142,14 @@ def normal_equations(
             for c in range(3):
                 used[entries.wheels[j], c] = own[c, j]
         for s in range(slow_bands):
-            start, count = slow.first[s], slow.first[s + 1] - slow.first[s]
             _add_wheels(noise.beside[i, s], noise.wheel[i, s], own, own, covariance)
-            _diagonalise(covariance, axes)
+            _diagonalise(covariance, axes[s])
             for e in range(3):
-                for m in range(count):
-                    variance = covariance[e, e] + noise.walk[i] * slow.walk[start + m]
+                for m in range(slow.first[s], slow.first[s + 1]):
+                    variance = covariance[e, e] + noise.walk[i] * slow.walk[m]
                     gain[e, m] = 1.0 / variance
                     log_scale[i] -= 0.5 * np.log(variance)
-            _add_modes(
-                slow.projection, start, count, entries, used, axes, gain, on_modes, normal[i]
-            )
+        _add_modes(slow.projection, slow.first, entries, used, axes, gain, on_modes, normal[i])
         if is_told:
             _place(entries, used, normal[i], placed, i, lacking[i])
     # band by band and two points at a time: Gram matrices are read from the cache half as often
@@ -204,18 +201,16 @@ def normal_equations(
                     log_determinant = _invert(noise.turns[p, t], precision[p - i])
                     log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
                     continue
-                start, count = turns.first[t], turns.first[t + 1] - turns.first[t]
+                modes = turns.first[t : t + 2]
                 for c in range(3):
                     for e in range(3):
                         covariance[c, e] = noise.turns[p, t, c, e]
-                _diagonalise(covariance, axes)
+                _diagonalise(covariance, axes[0])
                 for e in range(3):
                     log_scale[p] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
-                    for m in range(count):
+                    for m in range(modes[1] - modes[0]):
                         gain[e, m] = 1.0 / covariance[e, e]
-                _add_modes(
-                    turns.projection, start, count, entries, used, axes, gain, on_modes, normal[p]
-                )
+                _add_modes(turns.projection, modes, entries, used, axes, gain, on_modes, normal[p])
             if t >= by_modes:
                 _contract(
                     turns.grams[t - by_modes], entries, weights[pair], precision, 0, normal[pair]
@@ -527,8 +522,7 @@ def estimated_wheels(
 @compiled_sums
 def _add_modes(
     projection: Array,
-    first: int,
-    modes: int,
+    first: Places,
     entries: Entries,
     used: Array,
     axes: Array,
@@ -536,11 +530,12 @@ def _add_modes(
     seen: Array,
     normal: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Add the inner products of some modes, from the ``first`` on, to the lower triangle (P, P).
+    """Add the inner products of the modes of some bands to the lower triangle (P, P).
 
-    Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t).
+    Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t), the ``axes``
+    (S, 3, 3) those of the band that begins at ``first[s]``; ``gain`` (3, M) begins with the modes.
     """
-    width = entries.start.size - 1
+    width, start, modes = entries.start.size - 1, first[0], first[-1] - first[0]
     body, scaled = np.empty((3, modes)), np.empty(3 * modes)
     for k in range(width):
         body[:] = 0.0
@@ -551,12 +546,14 @@ def _add_modes(
                     continue
                 line = projection[c, b]
                 for m in range(modes):
-                    body[c, m] += weight * line[first + m]
-        for e in range(3):
-            for m in range(modes):
-                value = axes[0, e] * body[0, m] + axes[1, e] * body[1, m] + axes[2, e] * body[2, m]
-                seen[k, e * modes + m] = value
-                scaled[e * modes + m] = gain[e, m] * value
+                    body[c, m] += weight * line[start + m]
+        for s in range(first.size - 1):
+            for e in range(3):
+                x, y, z = axes[s, 0, e], axes[s, 1, e], axes[s, 2, e]
+                for m in range(first[s] - start, first[s + 1] - start):
+                    value = x * body[0, m] + y * body[1, m] + z * body[2, m]
+                    seen[k, e * modes + m] = value
+                    scaled[e * modes + m] = gain[e, m] * value
         for other in range(k + 1):
             value = 0.0
             for j in range(3 * modes):

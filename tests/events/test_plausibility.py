@@ -216,6 +216,40 @@ def test_a_small_error_hides_in_any_torque_and_any_bias(
     assert gain(wrong) < min(any_torque, LIKELIER)
 
 
+def test_wheels_beside_a_body_at_rest_have_no_order(
+    honest: dict[str, Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of noise about constant rates no exchange, sign or factor gains; those of a slew may.
+
+    Control: without the rule some of twenty such events gain by chance of noises unlike by axis.
+    """
+    event, chunk = honest["slew"]
+    evidence = evidence_of(event, chunk)
+    assert evidence.momentum is not None
+    nominal = evidence.nominal
+    wrong = [replace(Correction.nothing(nominal), wheel=np.eye(3)[[1, 0, 2]])]
+    assert np.isfinite(evidence.momentum.gains(nominal, wrong)[0]).all()
+
+    def resting(seed: int) -> Chunk:
+        rng, rows = np.random.default_rng(seed), len(chunk.time_s)
+        angle = np.column_stack([1e-5 * rng.standard_normal((rows, 3)), np.ones(rows)])
+        wheels = np.array([762.0, -381.0, 354.0]) + 0.7 * rng.standard_normal((rows, 3))
+        return replace(
+            chunk,
+            attitude=angle / np.linalg.norm(angle, axis=1, keepdims=True),
+            rate_rad_s=2e-6 * rng.standard_normal((rows, 3)),
+            wheel_rpm=np.round(wheels),
+        )
+
+    def best(seed: int) -> float:
+        given = evidence_of(event, resting(seed))
+        return by_evidence(given, event.wheels, event.thrusters)[0].gain
+
+    assert max(best(seed) for seed in range(20)) < 0.5 * LIKELIER
+    monkeypatch.setattr(momentum, "MOST_NOISE_SHARE", np.inf)
+    assert max(best(seed) for seed in range(20)) > 0.5 * LIKELIER
+
+
 @pytest.mark.parametrize("kind", ["bias", "slew"])
 def test_a_gain_is_that_of_the_evidence(honest: dict[str, Event], kind: str) -> None:
     """Against dense covariances of all rows, V = σ² + Σ departures: yᵀV⁻¹y + log|V|."""

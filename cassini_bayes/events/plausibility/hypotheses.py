@@ -84,9 +84,8 @@ none, a unit that takes the wheels out of the balance would be named."""
 MOST_FACTOR: Final = 5.0
 """Of body rates: where instruments are weak, a factor of 0.03 may fit by chance (by trial)."""
 RATE_FIX: Final = "give rate_…_rad_s about the body axes, in rad/s"
-LIKELIER: Final = 25.0
-"""Twice the logarithm of a ratio of evidences, twelve nats: the best of some thirty mistakes
-gains as much by chance in one honest event of 10,000 (one of 250 gained 21)."""
+LIKELIER: Final = 18.0
+"""Twice the logarithm of a ratio of evidences, nine nats: honest events gain 11 at most."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,6 +65,8 @@ USUAL_DRIFT: Final = 1e-4
 """N m s per √s: the median of the priors', whose logarithm has a width of 1."""
 LEAST_STRENGTH: Final = 1e-9
 """Of a free column, in units of noise: nothing is known of it. A guard against division by 0."""
+MOST_NOISE_SHARE: Final = 0.5  # of what a correction moves, that is no noise: judgement
+LEAST_MOVE: Final = 1e-18  # (N m s)²: a guard against division by 0
 DRIFT_MODES: Final = 24
 """Of a torque that wanders: with 12, what a strong one has left was no noise (by trial)."""
 CUT_MODES: Final = 24  # of a walk with every pulse: as many as of the torque's
@@ -308,7 +310,8 @@ class Momentum:
         """By how much corrections raise the evidence, as 2 log, and their sizes (1 where fixed).
 
         A correction moves what is to be closed by a column, once or, where its size is free, by as
-        much as fits best; a factor is 1 and the size.
+        much as fits best; a factor is 1 and the size. One that moves it by little more than noise
+        gains nothing: of wheels that keep their rates beside a body at rest nothing is known.
         """
         nothing = Correction.nothing(nominal)
         noise = self.noise(nominal, nothing)
@@ -325,7 +328,17 @@ class Momentum:
             left.append(level.cost + closed + np.array(gone))
             sizes.append(size)
         best = np.argmin(left, axis=0)
-        return min(recorded) - np.min(left, axis=0), np.array(sizes)[best, np.arange(len(best))]
+        gains = min(recorded) - np.min(left, axis=0)
+        gains[self._noise_share(moves) > MOST_NOISE_SHARE] = -np.inf
+        return gains, np.array(sizes)[best, np.arange(len(best))]
+
+    def _noise_share(self, moves: Array) -> Array:
+        """Share (C,) of white noise in the squares of columns (p, C), from second differences."""
+        square, bends = (
+            np.einsum("pc,pc->c", moves, each @ moves) for each in (self.gram, self.steps)
+        )
+        noise = bends * self.rows / (6.0 * self.counts)
+        return np.asarray(noise / np.maximum(square, LEAST_MOVE))
 
     def _levels(self, nominal: Nominal, moves: Array, noise: float) -> Iterator[_Level]:
         """The balance with each size of the torque that wanders, and columns ``moves`` (p, C)."""
