@@ -54,7 +54,7 @@ def wheel_covariance(
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
-    return _wheel_variances(event, parameters, event.wheels)
+    return _wheel_variances(event, parameters, event.wheels, _lasting(event, parameters))
 
 
 def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -66,20 +66,25 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    each = [_wheel_variances(event, parameters, b.wheels) for b in (*event.slow, *event.fast)]
+    bands, lasting = (*event.slow, *event.fast), _lasting(event, parameters)
+    each = [_wheel_variances(event, parameters, band.wheels, lasting) for band in bands]
     return np.ascontiguousarray(np.stack(each, axis=1))
 
 
+def _lasting(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
+    """Share (n, 1) of the rounding of wheel rates that lasts at rest."""
+    return np.asarray(lasting_shares(event, parameters).sum(axis=1)[:, None])
+
+
 def _wheel_variances(
-    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, lasting: Array
 ) -> Array:
     """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
     noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    share = lasting_shares(event, parameters).sum(axis=1)
     of_row = (noise**2 + rounding) / event.statistics.counters.averaged
     white = of_row * squares.moving + squares.seen
-    return np.asarray(white + rounding * share[:, None] * squares.lasting)
+    return np.asarray(white + rounding * lasting * squares.lasting)
 
 
 def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -172,7 +177,7 @@ def _shared_turn_covariances(
     white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     coherent = rounding * lasting_shares(event, parameters)
-    noise = _wheel_variances(event, parameters, white)
+    noise = _wheel_variances(event, parameters, white, np.zeros((len(coherent), 1)))
     noise = noise - coherent.sum(axis=1)[:, None] * white.moving
     summed = np.array([band.summed_s2 for band in event.turns])
     rounded = np.array([band.rounded_s2 for band in event.turns])
