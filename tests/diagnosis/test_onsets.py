@@ -19,6 +19,7 @@ from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.gain import fits_without, taught
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
+from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.onsets import (
     HALF_NORMAL,
     LEAST_GAIN,
@@ -245,6 +246,26 @@ def test_only_what_can_matter_is_searched() -> None:
     (further,) = beginnings.missed(70.0)
     assert further.onset is not None
     assert (further.name, further.onset.event) == (effects[0].name, "c")
+
+
+def test_a_cause_that_does_nothing_any_more_is_no_beginning() -> None:
+    """Throughout it is 4 nats below none, by its linear model 9: what begins where nothing fires is
+    none, and not 5 nats above it. What gains little elsewhere is short by its share of the 5 nats.
+    """
+    events = prepare((), TOTALS_PRIORS, three())
+    effects = tuple(events.catalogue.effects[:1])
+    gains, factors = np.array([[0.2, 0.1, 0.0]]), np.array([[-9.0, -4.5, 0.0]])
+    odds = Odds(0.5, 0.45, 0.05, 0.5)
+    beginnings = Beginnings(effects, ("a", "b", "c"), odds, gains, factors)
+    whole = none_hypothesis(events)
+    share = replace(effects[0], prior_probability=0.5 * effects[0].prior_probability)
+    cause = replace(extend(whole, [share]), prior_probability=share.prior_probability)
+    mode = Mode(np.zeros(1), np.eye(1), 96.0)
+    (found,) = beginnings.summed([Weighed(cause, mode, 96.0)], 100.0)
+    weights = np.array([0.5 * np.exp(-4.0), 0.25 * np.exp(-4.5 + 0.5 * 5.0), 0.0])
+    told = [beginning.probability for beginning in found.beginnings]
+    assert told == pytest.approx(weights / weights.sum(), rel=1e-6)
+    assert found.net_evidence == pytest.approx(100.0 + np.log(weights.sum()), abs=1e-6)
 
 
 def test_the_others_tell_an_event_its_side() -> None:
