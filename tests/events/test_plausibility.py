@@ -31,6 +31,7 @@ from cassini_bayes.events.plausibility import (
     momentum,
     refuse_duplicates,
 )
+from cassini_bayes.events.plausibility.cells import CellSearch
 from cassini_bayes.events.plausibility.hypotheses import (
     LIKELIER,
     Evidence,
@@ -492,6 +493,30 @@ def test_bad_cells_are_found(honest: dict[str, Event], kind: str, count: int) ->
     assert set(gone) == set(rows)
     assert np.array_equal(np.delete(mended.wheel_rpm, gone, 0), np.delete(wheel, gone, 0))
     assert "left out" in check.verdict().findings[0]
+
+
+def test_firings_to_and_fro_between_two_readings_are_no_bad_cell(honest: dict[str, Event]) -> None:
+    """Counters every 10 s, and a rate that jumps for one row, as two thrusters that fire in it do.
+
+    Control: the same jump where counters show nothing.
+    """
+    event, chunk = honest["bias"]
+    nominal = evidence_of(event, chunk).nominal
+    pairs = nominal.torques.T[:, None] + nominal.torques.T
+    one, other = np.unravel_index(np.argmin(np.linalg.norm(pairs, axis=2)), pairs.shape[:2])
+    row, read = 455, np.arange(len(chunk.time_s)) % 10 == 0
+    rate = chunk.rate_rad_s.copy()
+    rate[row, 0] += nominal.torques[0, one] / nominal.inertia[0, 0]
+
+    def found(fired_s: float) -> int:
+        on_time = chunk.on_time_s.copy()
+        on_time[row + 1 :, [one, other]] += fired_s
+        on_time[~read] = np.nan
+        pulses = np.where(read[:, None], chunk.pulses, np.nan)
+        given = replace(chunk, rate_rad_s=rate, on_time_s=on_time, pulses=pulses)
+        return len(CellSearch(nominal, event.wheels).find(given))
+
+    assert found(0.0) > found(1.0) == 0
 
 
 @pytest.mark.parametrize("count", [1, 5, 50])

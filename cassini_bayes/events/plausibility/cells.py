@@ -75,11 +75,16 @@ class CellSearch:
         slack = np.zeros(len(rows))
         impulse = np.zeros((len(rows), 3))
         if fires:
-            on_time, steps = _between(chunk, rows)
+            on_time, steps, is_long = _between(chunk, rows)
             middle = 0.5 * (turn[1:] + turn[:-1])
             gained = np.einsum("nij,jk,nk->ni", middle, self.nominal.torques, on_time)
             impulse[1:] = np.cumsum(gained, axis=0)
-            counted = (steps + TAIL_S * (steps > 0.0)) @ self.nominal.torques.T
+            fired, torques = steps + TAIL_S * (steps > 0.0), self.nominal.torques
+            counted = fired @ torques.T
+            # of firings to and fro between two readings a row may have the one and not the other
+            ways = np.maximum(np.stack([torques, -torques]), 0.0)
+            either = (fired @ ways.swapaxes(1, 2)).max(axis=0)
+            counted = np.where(is_long[:, None], either, counted)
             size = np.append(0.0, np.linalg.norm(counted, axis=1))
             slack = np.max([np.roll(size, shift) for shift in (-2, -1, 0, 1)], axis=0)
         total = np.einsum("nij,jc,nc->ni", turn, weights, cells) - impulse
@@ -122,20 +127,22 @@ class CellSearch:
         return [found[key] for key in sorted(found)]
 
 
-def _between(chunk: Chunk, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+def _between(chunk: Chunk, rows: NDArray[np.int64]) -> tuple[Array, Array, NDArray[np.bool_]]:
     """On-time gained from row to row (n − 1, K), and in the whole bracket that a step lies in.
 
-    Counters sampled more seldom than the rest are taken to grow evenly between two samples.
+    Counters sampled more seldom than the rest are taken to grow evenly between two samples; which
+    steps (n − 1,) are shorter than their bracket is told, too.
     """
     sampled = np.flatnonzero(~np.isnan(chunk.on_time_s).any(axis=1))
     time, known = chunk.time_s[rows], chunk.time_s[sampled]
     if len(sampled) < 2:
         nothing = np.zeros((len(rows) - 1, chunk.on_time_s.shape[1]))
-        return nothing, nothing
+        return nothing, nothing, np.zeros(len(rows) - 1, dtype=np.bool_)
     counts = chunk.on_time_s[sampled]
     even = np.stack([np.interp(time, known, column) for column in counts.T], axis=1)
     bracket = np.clip(np.searchsorted(known, time[1:]) - 1, 0, len(known) - 2)
-    return np.diff(even, axis=0), np.diff(counts, axis=0)[bracket]
+    is_long = np.diff(known)[bracket] > 1.5 * np.diff(time)
+    return np.diff(even, axis=0), np.diff(counts, axis=0)[bracket], is_long
 
 
 def _jumps(values: Array) -> tuple[Array, Array]:
