@@ -7,7 +7,8 @@ mean, and have no place here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,13 +70,15 @@ def row_information(
     modes = np.split(products.slow, np.cumsum([band.rows for band in event.slow[:-1]]), axis=2)
     of_wheels = wheel_covariance(event, physics, parameters)[0]
     for band, own, noise in zip(event.slow, modes, with_open, strict=False):
-        total = total + _of_modes(event, own, band, columns, noise + of_wheels, nominal)
+        square = partial(_of_modes, own)
+        total = total + _whitened(event, band, columns, noise + of_wheels, nominal, square)
     bands = zip(event.fast, products.grams, kept, with_open[len(event.slow) :], strict=True)
     for band, gram, estimate, noise in bands:
         own = balance_weights(event, physics, estimate[None])
         columns = np.r_[np.zeros_like(walk), _columns(event, own, mean, own_sd, levels, step)]
         noise = noise + wheel_covariance(event, physics, parameters, estimate[None])[0]
-        total = total + _of_gram(event, gram, band, columns, noise, nominal)
+        square = partial(_of_gram, gram)
+        total = total + _whitened(event, band, columns, noise, nominal, square)
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
@@ -168,52 +171,41 @@ def _columns(
     return np.concatenate([walked, thrust, own])
 
 
-def _of_modes(
+def _whitened(
     event: TelemetryBalance,
-    modes: Array,
     band: Band,
     columns: Array,
     noise: Array,
     nominal: Mapping[str, Array],
+    square: Callable[[Array, Array], Array],
 ) -> Array:
-    """Inner products of the derivatives over modes (3, A', R), white and torque noise whitened."""
-    result = np.zeros((len(columns), len(columns)))
-    for variance, axis in _axes_of(noise, band, nominal):
-        on_modes = np.einsum("c,uca,cam->um", axis, columns, modes, optimize=True)
-        scalar = np.einsum("c,uca->ua", axis, columns)
-        quiet = band.rows * _channel_square(event, nominal, 1.0) / variance.mean()
-        result += (on_modes / variance) @ on_modes.T - (scalar * quiet) @ scalar.T
-    return result
+    """Inner products of the derivatives over one band's rows, white and torque noise whitened.
 
-
-def _of_gram(
-    event: TelemetryBalance,
-    gram: Array,
-    band: Band,
-    columns: Array,
-    noise: Array,
-    nominal: Mapping[str, Array],
-) -> Array:
-    """The same over the rows of a band that has a Gram matrix (3, 3, A', A')."""
-    result = np.zeros((len(columns), len(columns)))
-    for variance, axis in _axes_of(noise, band, nominal):
-        along = axis[:, None] * columns
-        crossed = np.einsum("uca,cdab->udb", along, gram, optimize=True)
-        scalar = np.einsum("c,uca->ua", axis, columns)
-        quiet = band.rows * _channel_square(event, nominal, 1.0)
-        square = np.einsum("udb,vdb->uv", crossed, along) - (scalar * quiet) @ scalar.T
-        result += square / variance.mean()
-    return result
-
-
-def _axes_of(
-    noise: Array, band: Band, nominal: Mapping[str, Array]
-) -> Iterator[tuple[Array, Array]]:
-    """Principal axes (3,) of a band's noise, and the variance (R,) of its modes along each."""
+    ``square`` has those along a principal axis of the noise, by columns along it (U, 3, A') and the
+    variances (R,) of its modes.
+    """
     values, vectors = np.linalg.eigh(noise)
     walked = nominal["torque_noise_n_m_s05"][0] ** 2 * band.faster
+    quiet = band.rows * _channel_square(event, nominal, 1.0)
+    result = np.zeros((len(columns), len(columns)))
     for value, axis in zip(values, vectors.T, strict=True):
-        yield value + walked, axis
+        variance = value + walked
+        scalar = np.einsum("c,uca->ua", axis, columns)
+        result += square(axis[:, None] * columns, variance)
+        result -= (scalar * quiet) @ scalar.T / variance.mean()
+    return result
+
+
+def _of_modes(modes: Array, along: Array, variance: Array) -> Array:
+    """Inner products on modes (3, A', R)."""
+    on_modes = np.einsum("uca,cam->um", along, modes, optimize=True)
+    return np.asarray((on_modes / variance) @ on_modes.T)
+
+
+def _of_gram(gram: Array, along: Array, variance: Array) -> Array:
+    """Inner products by a Gram matrix (3, 3, A', A')."""
+    crossed = np.einsum("uca,cdab->udb", along, gram, optimize=True)
+    return np.asarray(np.einsum("udb,vdb->uv", crossed, along) / variance.mean())
 
 
 def _channel_square(event: TelemetryBalance, nominal: Mapping[str, Array], summed: float) -> Array:

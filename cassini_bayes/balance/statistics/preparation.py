@@ -6,7 +6,6 @@ counter changes are kept.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass, replace
 from typing import Final
@@ -111,8 +110,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
-    unsure = math.sqrt(max(one.unsure_s2 for one in expected.rounding))
-    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, unsure, late)
+    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, end_s)
 
 

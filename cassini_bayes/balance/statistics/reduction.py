@@ -7,6 +7,7 @@ not depend on the number of samples (``docs/topics/telemetry-likelihood.md`` §6
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -201,8 +202,12 @@ class Preparation:
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
-    unsure_s: float = 0.0  # of the on-time of a firing
     late: LateRows = LateRows()  # without rows between firings
+
+    @property
+    def unsure_s(self) -> float:
+        """Standard deviation of a usual firing's on-time, s, of the least known counter."""
+        return math.sqrt(max((one.unsure_s2 for one in self.rounding), default=0.0))
 
 
 @dataclass(frozen=True)
