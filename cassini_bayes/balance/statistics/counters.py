@@ -24,6 +24,7 @@ Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -41,7 +42,10 @@ SPREAD_ERROR: Final = 0.3  # of the widths' variance, as some dozens of firings 
 MOST_BIAS: Final = 1e-3  # of thrust, by an error of the widths' variance
 FREEDOM: Final = 4.0  # degrees of freedom of widths: two pulses in a row count as one long one
 ROUNDS: Final = 6  # of expectation and maximisation: the spread has settled to some percent
-NEARBY: Final = 3  # spreads on either side of the best that are tried in the next round
+LOG_SPREAD: Final = 1.0  # by which logarithms of the variances of two thrusters' widths may differ
+LEAST_WEIGHT: Final = 1e-3  # of a spread that is tried again in the next round
+NEARBY: Final = 2  # spreads beside these that are tried as well
+LEAST_LIKELIHOOD: Final = 1e-300  # beside the best: of a spread that is out of question
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
@@ -156,11 +160,7 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     if True in said and False not in said:
         gained = quantum_s * np.round((on_time_s - on_time_s[0]) / quantum_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
-    rounding = []
-    for k in thrusters:
-        result[:, k], own = _smoothed(on_time_s[:, k], pulses[:, k], step_s)
-        rounding.append(own)
-    return OnTimes(result, tuple(rounding))
+    return _smoothed(result, pulses, step_s)
 
 
 def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
@@ -189,51 +189,93 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
 
 
-def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> tuple[Array, Rounding]:
-    """Expected cumulative on-time (m,), and what stays open."""
-    change = np.diff(on_time_s)
-    active, run, seconds, count = firings(change, np.diff(pulses))
-    if len(active) == 0:
-        return on_time_s, KNOWN
+def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
+    """Expected cumulative on-times (m, K), and what stays open."""
+    change, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    fired = [firings(*each) for each in zip(change.T, begun.T, strict=True)]
+    telling = [k for k, own in enumerate(fired) if len(own.seconds) >= LEAST_RUNS]
     rounding = step_s**2 / 12.0
-    if len(seconds) < LEAST_RUNS:
-        return on_time_s, Rounding(rounding)
-    spreads = _spreads(seconds, count, rounding)
+    result = on_time_s.copy()
+    left = [Rounding(rounding) if len(own.active) > 0 else KNOWN for own in fired]
+    spreads = _spreads([fired[k] for k in telling], rounding)
+    for k, own in zip(telling, spreads, strict=True):
+        gained, left[k] = _gained(fired[k], own, change[:, k], begun[:, k], rounding)
+        result[1:, k] = on_time_s[0, k] + np.cumsum(gained)
+    return OnTimes(result, tuple(left))
+
+
+def _gained(
+    fired: Firings, spreads: Array, change: Array, begun: Array, rounding: float
+) -> tuple[Array, Rounding]:
+    """On-times (m − 1,) expected of a thruster's counter intervals, and what stays open."""
+    active, run, seconds, count = fired
     mean = float(seconds.sum() / count.sum())
     every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (mean * count.mean()))
     starts = read_levels(len(seconds) + 1, every)[:-1]
-    together, begun, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
-    width = _mean_width(together, begun, own, rounding)
-    widths = width + own / begun * rounding * _solve(together - begun * width, own, rounding)
+    together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
+    width = _mean_width(together, pulses, own, rounding)
+    widths = width + own / pulses * rounding * _solve(together - pulses * width, own, rounding)
     expected = count * np.repeat(widths, np.diff(starts, append=len(seconds)))
     # Within a run by what the readings show; a run too short to show anything, by its pulses.
-    shown = np.where(seconds[run] > 0.0, change[active], np.diff(pulses)[active])
+    shown = np.where(seconds[run] > 0.0, change[active], begun[active])
     share = shown / np.bincount(run, shown)[run]
     gained, ratio = np.zeros_like(change), np.zeros_like(change)
     gained[active], ratio[active] = expected[run] * share, spreads[run] * share
-    on_time = on_time_s[0] + np.concatenate([[0.0], np.cumsum(gained)])
-    return on_time, Rounding(rounding, ratio, every, mean)
+    return gained, Rounding(rounding, ratio, every, mean)
 
 
-def _spreads(seconds: Array, count: Array, rounding: float) -> Array:
+def _spreads(fired: Sequence[Firings], rounding: float) -> list[Array]:
     """Variances (R,) of firings' on-times over σ²: of one spread, times how far each departs.
 
     By expectation and maximisation for widths that are Student's t: a pulse that is twice as long
-    as all others is believed, and does not make the others uncertain. The spread is its mean, and
-    not where its likelihood is largest: few firings often say "none at all".
+    as all others is believed, and does not make the others uncertain. The spread is its mean over
+    what all thrusters say (:func:`_shared`), and not where its likelihood is largest: few firings
+    often say "none at all".
     """
-    scaled, tried = count, SPREADS
-    for _ in range(ROUNDS):
-        log_p = np.array([_log_likelihood(seconds, count, s * scaled, rounding) for s in tried])
-        best = int(np.argmax(log_p)) + int(np.searchsorted(SPREADS, tried[0]))
-        spread = float(np.average(tried, weights=np.exp(log_p - log_p.max())))
-        tried = SPREADS[max(best - NEARBY, 0) : best + NEARBY + 1]
-        own = spread * scaled
-        missed = seconds - count * _mean_width(seconds, count, own, rounding)
-        departs = rounding * own * _solve(missed, own, rounding)
-        squares = departs**2 / (rounding * np.maximum(spread, SPREADS[1]) * count)
-        scaled = count * (FREEDOM + squares) / (FREEDOM + 1.0)
-    return spread * scaled
+    scaled = [own.pulses for own in fired]
+    near = slice(None)
+    for _ in range(ROUNDS if fired else 0):
+        tried = SPREADS[near]
+        log_p = np.array(
+            [
+                [_log_likelihood(own.seconds, own.pulses, s * each, rounding) for s in tried]
+                for own, each in zip(fired, scaled, strict=True)
+            ]
+        )
+        weights = _shared(log_p, tried)
+        spread = weights @ tried
+        scaled = [
+            own.pulses * _departures(own, s * each, s, rounding)
+            for own, each, s in zip(fired, scaled, spread, strict=True)
+        ]
+        likely = np.searchsorted(SPREADS, tried[(weights > LEAST_WEIGHT).any(axis=0)])
+        near = slice(max(likely[0] - NEARBY, 0), likely[-1] + NEARBY + 1)
+    return [s * each for s, each in zip(spread, scaled, strict=True)] if fired else []
+
+
+def _shared(log_p: Array, tried: Array) -> Array:
+    """Weights (K, S) of spreads for every thruster, by its own log likelihoods (K, S) and others'.
+
+    One controller commands all: logarithms of their spreads are Gaussian about a common one, of
+    which nothing is known before.
+    """
+    place = np.log(np.maximum(tried, SPREADS[1] / 2.0))
+    alike = np.exp(-0.5 * (np.subtract.outer(place, place) / LOG_SPREAD) ** 2)
+    alike /= alike.sum(axis=0)
+    own = np.exp(log_p - log_p.max(axis=1)[:, None])
+    by_common = np.log(np.maximum(own @ alike, LEAST_LIKELIHOOD))
+    of_others = by_common.sum(axis=0) - by_common
+    others = np.exp(of_others - of_others.max(axis=1)[:, None])
+    weights = own * (others @ alike.T)
+    return np.asarray(weights / weights.sum(axis=1)[:, None])
+
+
+def _departures(own: Firings, spreads: Array, spread: float, rounding: float) -> Array:
+    """How much larger than usual the variances of firings (R,) are, by how far each departs."""
+    missed = own.seconds - own.pulses * _mean_width(own.seconds, own.pulses, spreads, rounding)
+    departs = rounding * spreads * _solve(missed, spreads, rounding)
+    squares = departs**2 / (rounding * max(spread, SPREADS[1]) * own.pulses)
+    return np.asarray((FREEDOM + squares) / (FREEDOM + 1.0))
 
 
 def _spacing(ratio: float, rounding: float) -> float:
