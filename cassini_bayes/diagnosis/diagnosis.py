@@ -104,7 +104,9 @@ def diagnose(
     of_baseline, of_extended, of_p, of_extended_p, of_shown = rng.spawn(5)
     of_causes = rng.spawn(len(verdict.weighed))
     of_runner_up, of_curves, of_widths = rng.spawn(3)
-    work: dict[str, Work] = {
+    # what takes longest begins
+    work: dict[str, Work] = {"shown": partial(case.show, none, extended, of_shown)}
+    work |= {
         f"causes {part}": partial(_cause_records, case, verdict, of_causes, part)
         for part in range(PARTS)
     }
@@ -122,7 +124,6 @@ def diagnose(
     if extended.is_cause:
         work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
-    work["shown"] = partial(case.show, none, extended, of_shown)
     work["curves"] = partial(case.curves, verdict.unknown, of_curves)
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)

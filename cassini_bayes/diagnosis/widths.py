@@ -9,7 +9,7 @@ is found anew: there k̂ says where the draws do not reach (:func:`by_width`).
 
 from __future__ import annotations
 
-from copy import deepcopy
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -89,6 +89,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
     after. ``trusted`` is false where that is above 0.7, or where the cause has no draws.
     """
     cause = next((w for w in verdict.weighed if w.is_cause), None)
+    sizes_at = _sizes_at(cause, rng)
     result = []
     for width in WIDTHS:
         scores, reach = {}, {}
@@ -97,7 +98,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
         after, before = normalised(scores), verdict.probabilities
         told = [name for name in after if max(after[name], before[name]) >= WORTH_A_SEARCH]
         worst = max(reach[name] for name in told)
-        sizes = None if cause is None else _sizes_at(cause, width, deepcopy(rng))
+        sizes = sizes_at(width)
         is_trusted = worst <= TRUSTED_K and (sizes is not None or cause is None)
         result.append(
             {
@@ -131,15 +132,25 @@ def _score_at(weighed: Weighed[Hypothesis], score: float, width: float) -> tuple
 
 
 def _sizes_at(
-    cause: Weighed[Hypothesis], width: float, rng: np.random.Generator
-) -> dict[str, Size] | None:
-    """Sizes of a cause; None where it has no importance draws that could be weighted."""
+    cause: Weighed[Hypothesis] | None, rng: np.random.Generator
+) -> Callable[[float], dict[str, Size] | None]:
+    """Sizes of a cause by width, from the same draws for all.
+
+    None where there is no cause, or it has no importance draws that could be weighted.
+    """
+    if cause is None:
+        return lambda _: None
     each = [way for _, _, way in cause.searched] or [cause]
     if any(candidate.z is None or candidate.pareto_k >= TRUSTED_K for candidate in each):
-        return None
+        return lambda _: None
+    known = {id(way): size_draws(way, rng)[0] for way in each}
 
-    def drawn(own: Weighed[Hypothesis], rng: np.random.Generator) -> tuple[dict[str, Array], Array]:
-        values, _ = size_draws(own, rng)
-        return values, np.exp(reweighted(own, width))
+    def sizes(width: float) -> dict[str, Size]:
+        def drawn(
+            own: Weighed[Hypothesis], _: np.random.Generator
+        ) -> tuple[dict[str, Array], Array]:
+            return known[id(own)], np.exp(reweighted(own, width))
 
-    return summarised(*mixed(drawn, cause, rng))
+        return summarised(*mixed(drawn, cause, rng))
+
+    return sizes
