@@ -70,6 +70,7 @@ class Variant:
 _ALL: Final = ("bias-1", "bias-2", "slews")
 _SLOW: Final = {"attitude_every_s": 4.0, "rate_every_s": 4.0, "wheel_every_s": 4.0}
 _ADAPTED: Final = dict(CONTROLLERS["widths adapted"])
+_HIGH_GAIN: Final = dict(CONTROLLERS["high gain, union"])
 VARIANTS: Final = (
     Variant("joint", "two biases and slews, 1 Hz", _ALL, {}),
     Variant("bias", "one bias, 1 Hz", _ALL[:1], {}),
@@ -78,8 +79,9 @@ VARIANTS: Final = (
     Variant("slow", "all channels 4 s", _ALL, {**_SLOW, "counter_every_s": 4.0}),
     Variant("quiet-wheels", "wheel noise 0.2 rpm", _ALL, {}, 0.2),
     Variant("noisy-wheels", "wheel noise 1 rpm", _ALL, {}, 1.0),
-    # its pulses are short and follow each other closely: many tails are cut
     Variant("adapted", "one bias, widths adapted", _ALL[:1], {}, rcs=_ADAPTED),
+    # its pulses follow each other closely: many tails are cut
+    Variant("high-gain", "one bias, high gain", _ALL[:1], {}, rcs=_HIGH_GAIN),
 )
 _EXACT: Final = "rounding-ignored"
 _UNCUT: Final = "cuts-ignored"
@@ -91,7 +93,7 @@ CONTROLS: Final = (
     Variant(
         _EXACT, "control: counters of 10 ms taken as exact", _ALL, {"on_time_resolution_s": 0.01}
     ),
-    Variant(_UNCUT, "control: cut tails ignored", _ALL[:1], {}, rcs=_ADAPTED),
+    Variant(_UNCUT, "control: cut tails ignored", _ALL[:1], {}, rcs=_HIGH_GAIN),
 )
 
 

@@ -114,6 +114,32 @@ def test_a_long_pulse_among_alike_ones_is_believed() -> None:
     assert np.median(ratio) < 0.3
 
 
+@pytest.mark.statistical
+def test_few_firings_tell_the_scatter_of_widths_together() -> None:
+    """Six thrusters of ten pulses of 118 ± 20 ms on steps of 50 ms, as one controller has them.
+
+    The log of the variance of their widths is off by 0.6 (root mean square), by 1.2 if each speaks
+    for itself; then one in fifteen is said to be known ten times too well. 150 thrusters in 25
+    flights leave these figures good to some 10 %.
+    """
+    rng = np.random.default_rng(9)
+    step, scatter = 0.05, 0.02
+    alone, together = [], []
+    for _ in range(25):
+        each = [readings(rng.normal(0.118, scatter, 10), step) for _ in range(6)]
+        shown, _, pulses = (np.hstack(part) for part in zip(*each, strict=True))
+        together += expected_on_times(shown, pulses, step, 0.0).rounding
+        alone += [expected_on_times(u, n, step, 0.0).rounding[0] for u, _, n in each]
+
+    def off(each: list[Rounding]) -> Array:
+        usual = np.array([np.median(one.ratio[one.ratio > 0.0]) for one in each])
+        return np.log(usual * step**2 / 12.0 / scatter**2)
+
+    assert np.sqrt(np.mean(off(together) ** 2)) < 0.7
+    assert np.sqrt(np.mean(off(alone) ** 2)) > 1.0
+    assert off(together).min() > np.log(0.1) > off(alone).min()
+
+
 def open_variance(rounding: Rounding, levels: int) -> float:
     """Mean variance about their own mean of levels with the stated precision."""
     apart = np.diff(np.eye(levels), axis=0)

@@ -100,16 +100,21 @@ def test_the_pulse_blind_control_keeps_more_rows() -> None:
     assert rows[1] > rows[0] + 50
 
 
-def test_the_control_without_cut_tails_flies_short_pulses() -> None:
-    """Widths are adapted, many pulses are shorter than a control cycle, and none may be close."""
-    ignored = campaign("cuts-ignored")
+def test_the_control_without_cut_tails_flies_close_pulses() -> None:
+    """Fifty times as many pulses begin one control cycle after the last one; none may be close."""
+    ignored, usual = campaign("cuts-ignored"), campaign("bias")
     priors = ignored.priors()
+    close = []
+    for own in (ignored, usual):
+        simulation = own.simulate(priors, np.random.default_rng(3))
+        logs = simulation.events[0].motion.pulses.values()
+        gaps = [log.start_s[1:] - log.start_s[:-1] - log.width_s[:-1] for log in logs]
+        close.append(int((np.concatenate(gaps) < 0.2).sum()))
+    assert close[0] > 300 > 20 * close[1]
     simulation = ignored.simulate(priors, np.random.default_rng(3))
-    widths = np.concatenate([log.width_s for log in simulation.events[0].motion.pulses.values()])
-    assert np.mean(widths < 0.1) > 0.2
     assert "close_pulse_share" not in model_of(simulation, ignored.variant, priors).space.names
-    adapted = campaign("adapted")
-    assert "close_pulse_share" in model_of(simulation, adapted.variant, priors).space.names
+    whole = campaign("high-gain")
+    assert "close_pulse_share" in model_of(simulation, whole.variant, priors).space.names
 
 
 def test_the_judgement_is_over_all_variants_together() -> None:
