@@ -13,8 +13,8 @@ is known exactly. Otherwise the on-time of firing m has the variance v_m about n
 
     Δu_m = n_m w + e_m + δ_m − δ_{m−1},   Var(Δu) = diag(v) + σ² tridiag(−1, 2, −1),
 
-w by least squares and v_m = v n_m times how far the firing departs, as of Student's t, v by all
-thrusters together; E[Δc | u] = n w + diag(v) Var⁻¹ (Δu − n w). What stays open of the levels C_m is a
+w by least squares and v_m = v n_m times how far the firing departs, as of Student's t, v by all the
+thrusters; E[Δc | u] = n w + diag(v) Var⁻¹ (Δu − n w). What stays open of the levels C_m is a
 random walk of steps v_m seen with white noise σ²: precision (1 + Dᵀ Q⁻¹ D)/σ², D the differences
 and Q = diag(v)/σ². Where steps are not short beside the firings, an error of v is one of thrust.
 Then only some of the readings are used: what lies between two of them counts as one firing, whose
