@@ -279,7 +279,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From draws with what counters leave open."""
-        return summarised(*mixed(self.size_draws, weighed, rng))
+        return summarised(*mixed(partial(self.size_draws, rng=rng), weighed))
 
     def size_draws(
         self, weighed: Candidate, rng: np.random.Generator

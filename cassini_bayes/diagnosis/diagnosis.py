@@ -106,10 +106,8 @@ def diagnose(
     of_runner_up, of_curves, of_widths = rng.spawn(3)
     # what takes longest begins
     work: dict[str, Work] = {"shown": partial(case.show, none, extended, of_shown)}
-    work |= {
-        f"causes {part}": partial(_cause_records, case, verdict, of_causes, part)
-        for part in range(PARTS)
-    }
+    for part in range(PARTS):
+        work[f"causes {part}"] = partial(_cause_records, case, verdict, of_causes, part)
     if measure_gain:
         # the baseline first: where a cause is named it bends, and its fits take longest
         scored = {"baseline score": (none, of_baseline)}

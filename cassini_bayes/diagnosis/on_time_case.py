@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -224,7 +225,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
 
     def sizes(self, weighed: Candidate, rng: np.random.Generator) -> Mapping[str, Size]:
         """From importance draws, or those of the linear form."""
-        return summarised(*mixed(self.size_draws, weighed, rng))
+        return summarised(*mixed(partial(self.size_draws, rng=rng), weighed))
 
     def size_draws(
         self, weighed: Candidate, rng: np.random.Generator

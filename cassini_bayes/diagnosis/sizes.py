@@ -18,7 +18,7 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.model.posterior import TORQUES, Model
 from cassini_bayes.sampling.warmstart import TRUSTED_K
 
-SizeDraws = Callable[[Weighed[H], np.random.Generator], tuple[dict[str, Array], Array]]
+SizeDraws = Callable[[Weighed[H]], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000
 """Of a Laplace approximation: the ends of a 90 % interval scatter by 0.05 standard deviations."""
 
@@ -48,13 +48,11 @@ def size_draws(
     return values, weights
 
 
-def mixed(
-    drawn: SizeDraws[H], weighed: Weighed[H], rng: np.random.Generator
-) -> tuple[dict[str, Array], Array]:
+def mixed(drawn: SizeDraws[H], weighed: Weighed[H]) -> tuple[dict[str, Array], Array]:
     """Draws of sizes over the events that a cause may begin with, each with its probability."""
-    each = [(share, drawn(way, rng)) for _, share, way in weighed.searched]
+    each = [(share, drawn(way)) for _, share, way in weighed.searched]
     if not each:
-        return drawn(weighed, rng)
+        return drawn(weighed)
     keys = each[0][1][0]
     return (
         {key: np.concatenate([values[key] for _, (values, _) in each]) for key in keys},

@@ -9,7 +9,7 @@ is found anew: there k̂ says where the draws do not reach (:func:`by_width`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -89,7 +89,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
     after. ``trusted`` is false where that is above 0.7, or where the cause has no draws.
     """
     cause = next((w for w in verdict.weighed if w.is_cause), None)
-    sizes_at = _sizes_at(cause, rng)
+    draws = None if cause is None else _draws_of_sizes(cause, rng)
     result = []
     for width in WIDTHS:
         scores, reach = {}, {}
@@ -98,8 +98,8 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
         after, before = normalised(scores), verdict.probabilities
         told = [name for name in after if max(after[name], before[name]) >= WORTH_A_SEARCH]
         worst = max(reach[name] for name in told)
-        sizes = sizes_at(width)
-        is_trusted = worst <= TRUSTED_K and (sizes is not None or cause is None)
+        sizes = {} if cause is None or draws is None else _sizes_at(cause, draws, width)
+        is_trusted = worst <= TRUSTED_K and (draws is not None or cause is None)
         result.append(
             {
                 "width": width,
@@ -109,7 +109,7 @@ def by_width(verdict: Ranking[Hypothesis], rng: np.random.Generator) -> list[dic
                 "cause": None if cause is None else cause.name,
                 "sizes": {
                     key: {"mean": size.mean, "sd": size.sd, "hdi_90": list(size.interval)}
-                    for key, size in (sizes or {}).items()
+                    for key, size in sizes.items()
                 },
             }
         )
@@ -131,26 +131,25 @@ def _score_at(weighed: Weighed[Hypothesis], score: float, width: float) -> tuple
     return score + over_beginnings(weighed, change), float(max(reach))
 
 
-def _sizes_at(
-    cause: Weighed[Hypothesis] | None, rng: np.random.Generator
-) -> Callable[[float], dict[str, Size] | None]:
-    """Sizes of a cause by width, from the same draws for all.
+def _draws_of_sizes(
+    cause: Weighed[Hypothesis], rng: np.random.Generator
+) -> dict[int, dict[str, Array]] | None:
+    """Draws of a cause's sizes, the same for all widths, by the ``id`` of each beginning's fit.
 
-    None where there is no cause, or it has no importance draws that could be weighted.
+    None where it has no importance draws that could be weighted.
     """
-    if cause is None:
-        return lambda _: None
     each = [way for _, _, way in cause.searched] or [cause]
-    if any(candidate.z is None or candidate.pareto_k >= TRUSTED_K for candidate in each):
-        return lambda _: None
-    known = {id(way): size_draws(way, rng)[0] for way in each}
+    if any(way.z is None or way.pareto_k >= TRUSTED_K for way in each):
+        return None
+    return {id(way): size_draws(way, rng)[0] for way in each}
 
-    def sizes(width: float) -> dict[str, Size]:
-        def drawn(
-            own: Weighed[Hypothesis], _: np.random.Generator
-        ) -> tuple[dict[str, Array], Array]:
-            return known[id(own)], np.exp(reweighted(own, width))
 
-        return summarised(*mixed(drawn, cause, rng))
+def _sizes_at(
+    cause: Weighed[Hypothesis], draws: Mapping[int, dict[str, Array]], width: float
+) -> dict[str, Size]:
+    """Sizes of a cause at another width, by its draws."""
 
-    return sizes
+    def drawn(own: Weighed[Hypothesis]) -> tuple[dict[str, Array], Array]:
+        return draws[id(own)], np.exp(reweighted(own, width))
+
+    return summarised(*mixed(drawn, cause))

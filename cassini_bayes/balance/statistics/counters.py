@@ -152,15 +152,14 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     quantum_s
         What commands may be multiples of (a control cycle), s; 0 for any width.
     """
-    result = np.array(on_time_s, dtype=np.float64)
     thrusters = range(on_time_s.shape[1])
     if step_s < LEAST_STEP_S:
-        return OnTimes(result, (KNOWN,) * len(thrusters))
+        return OnTimes(np.array(on_time_s, dtype=np.float64), (KNOWN,) * len(thrusters))
     said = {is_quantised(on_time_s[:, k], pulses[:, k], step_s, quantum_s) for k in thrusters}
     if True in said and False not in said:
         gained = quantum_s * np.round((on_time_s - on_time_s[0]) / quantum_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
-    return _smoothed(result, pulses, step_s)
+    return _smoothed(on_time_s, pulses, step_s)
 
 
 def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
@@ -195,7 +194,7 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
     fired = [firings(*each) for each in zip(change.T, begun.T, strict=True)]
     telling = [k for k, own in enumerate(fired) if len(own.seconds) >= LEAST_RUNS]
     rounding = step_s**2 / 12.0
-    result = on_time_s.copy()
+    result = np.array(on_time_s, dtype=np.float64)
     left = [Rounding(rounding) if len(own.active) > 0 else KNOWN for own in fired]
     spreads = _spreads([fired[k] for k in telling], rounding)
     for k, own in zip(telling, spreads, strict=True):
@@ -232,9 +231,10 @@ def _spreads(fired: Sequence[Firings], rounding: float) -> list[Array]:
     what all thrusters say (:func:`_shared`), and not where its likelihood is largest: few firings
     often say "none at all".
     """
-    scaled = [own.pulses for own in fired]
-    near = slice(None)
-    for _ in range(ROUNDS if fired else 0):
+    if not fired:
+        return []
+    scaled, near = [own.pulses for own in fired], slice(None)
+    for _ in range(ROUNDS):
         tried = SPREADS[near]
         log_p = np.array(
             [
@@ -250,7 +250,7 @@ def _spreads(fired: Sequence[Firings], rounding: float) -> list[Array]:
         ]
         likely = np.searchsorted(SPREADS, tried[(weights > LEAST_WEIGHT).any(axis=0)])
         near = slice(max(likely[0] - NEARBY, 0), likely[-1] + NEARBY + 1)
-    return [s * each for s, each in zip(spread, scaled, strict=True)] if fired else []
+    return [s * each for s, each in zip(spread, scaled, strict=True)]
 
 
 def _shared(log_p: Array, tried: Array) -> Array:
