@@ -23,6 +23,8 @@ LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured t
 _LEAST_SPREAD: Final = 1e-14  # of the noise in a mean square: all the rest is motion
 _SWEEPS: Final = 30  # Jacobi converges quadratically: more than any small matrix needs
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
+_TILE: Final = 4  # rows whose inner products are taken together
+FILLED: Final = 8  # numbers of which the last side of Gram matrices is a multiple: vectors
 
 
 class Entries(NamedTuple):
@@ -51,7 +53,7 @@ class FastBands(NamedTuple):
     said of it.
     """
 
-    grams: Array  # (F, B, 3, 3, B): what a column needs lies together
+    grams: Array  # (F, B, 3, 3, B′): what a column needs lies together, zeros from B on
     rows: Array  # (F,)
     walk: Array  # (F,) s
     nodes: Array  # (F, T)
@@ -67,7 +69,7 @@ class Turns(NamedTuple):
 
     projection: Array  # (3, B, M)
     first: Places  # (S + 1,)
-    grams: Array  # (T − S, B, 3, 3, B)
+    grams: Array  # (T − S, B, 3, 3, B′)
     contrasts: Array  # (T,)
 
 
@@ -127,13 +129,18 @@ def normal_equations(
     n, width, wheels = len(weights), entries.start.size - 1, noise.wheels.shape[2]
     size, slow_bands, bands = slow.projection.shape[1], slow.first.size - 1, fast.rows.size
     most = max(slow.walk.size, turns.projection.shape[2])
+    by_modes = turns.first.size - 1
     normal, log_scale = np.zeros((n, width, width)), np.empty(n)
     kept, lacking = np.empty((n, bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
     other, covariance = np.empty((3, 3)), np.empty((3, 3))
-    axes = np.empty((max(slow_bands, 1), 3, 3))
+    axes = np.empty((max(slow_bands, by_modes), 3, 3))
     precision = np.empty((2, 3, 3))
-    gain, on_modes = np.empty((3, most)), np.empty((width, 3 * most))
+    gain, on_modes = np.empty((3, most)), np.zeros((_filled(width, _TILE), 3 * most))
+    place_of = np.full(size, -1)
+    for v in range(entries.turned.size):
+        place_of[entries.turned[v]] = v
+    no_place = np.full(size, -1)
     is_told = fast.nodes.size > 0
     for i in range(n):
         used, own = weights[i], noise.wheels[i]
@@ -149,7 +156,10 @@ def normal_equations(
                     variance = covariance[e, e] + noise.walk[i] * slow.walk[m]
                     gain[e, m] = 1.0 / variance
                     log_scale[i] -= 0.5 * np.log(variance)
-        _add_modes(slow.projection, slow.first, entries, used, axes, gain, on_modes, normal[i])
+        _put_on_modes(
+            slow.projection, slow.first, entries, used, turned[i], no_place, axes, gain, on_modes
+        )
+        _add_squares(on_modes, 3 * slow.walk.size, normal[i])
         if is_told:
             _place(entries, used, normal[i], placed, i, lacking[i])
     # band by band and two points at a time: Gram matrices are read from the cache half as often
@@ -184,12 +194,32 @@ def normal_equations(
             _contract(
                 fast.grams[f], entries, weights[pair], precision, placed.normals, normal[pair]
             )
-    by_modes = turns.first.size - 1
     for i in range(n):
         for j in range(wheels):
             for c in range(3):
                 weights[i, entries.wheels[j], c] = noise.wheels[i, c, j]
-    for t in range(turns.contrasts.size):
+        for t in range(by_modes):
+            for c in range(3):
+                for e in range(3):
+                    covariance[c, e] = noise.turns[i, t, c, e]
+            _diagonalise(covariance, axes[t])
+            for e in range(3):
+                log_scale[i] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
+                for m in range(turns.first[t], turns.first[t + 1]):
+                    gain[e, m] = 1.0 / covariance[e, e]
+        _put_on_modes(
+            turns.projection,
+            turns.first,
+            entries,
+            weights[i],
+            turned[i],
+            place_of,
+            axes,
+            gain,
+            on_modes,
+        )
+        _add_squares(on_modes, 3 * turns.first[by_modes], normal[i])
+    for t in range(by_modes, turns.contrasts.size):
         for i in range(0, n, 2):
             pair = slice(i, min(i + 2, n))
             for p in range(pair.start, pair.stop):
@@ -197,24 +227,9 @@ def normal_equations(
                 for v in range(entries.turned.size):
                     for c in range(3):
                         used[entries.turned[v], c] = turned[p, t, v, c]
-                if t >= by_modes:
-                    log_determinant = _invert(noise.turns[p, t], precision[p - i])
-                    log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
-                    continue
-                modes = turns.first[t : t + 2]
-                for c in range(3):
-                    for e in range(3):
-                        covariance[c, e] = noise.turns[p, t, c, e]
-                _diagonalise(covariance, axes[0])
-                for e in range(3):
-                    log_scale[p] -= 0.5 * turns.contrasts[t] * np.log(covariance[e, e])
-                    for m in range(modes[1] - modes[0]):
-                        gain[e, m] = 1.0 / covariance[e, e]
-                _add_modes(turns.projection, modes, entries, used, axes, gain, on_modes, normal[p])
-            if t >= by_modes:
-                _contract(
-                    turns.grams[t - by_modes], entries, weights[pair], precision, 0, normal[pair]
-                )
+                log_determinant = _invert(noise.turns[p, t], precision[p - i])
+                log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
+            _contract(turns.grams[t - by_modes], entries, weights[pair], precision, 0, normal[pair])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -520,45 +535,87 @@ def estimated_wheels(
 
 
 @compiled_sums
-def _add_modes(
+def _filled(size: int, step: int) -> int:  # pragma: no cover - compiled
+    """The least multiple of a step that is not below a size."""
+    return (size + step - 1) // step * step
+
+
+@compiled_sums
+def _put_on_modes(
     projection: Array,
     first: Places,
     entries: Entries,
     used: Array,
+    turned: Array,
+    place_of: Places,
     axes: Array,
     gain: Array,
     seen: Array,
-    normal: Array,
 ) -> None:  # pragma: no cover - compiled
-    """Add the inner products of the modes of some bands to the lower triangle (P, P).
+    """Coordinates of the new columns on the modes of all bands, whitened: rows of ``seen``.
 
-    Σ_m,e gain_m,e Y_m,e,k Y_m,e,l with Y_m,e,k = Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t), the ``axes``
-    (S, 3, 3) those of the band that begins at ``first[s]``; ``gain`` (3, M) begins with the modes.
+    gain_m,e^½ Σ_c axes_c,e Σ_t φ_m(t) y_c,k(t), the ``axes`` (S, 3, 3) and the modes from
+    ``first[s]`` to ``first[s + 1]`` those of band s. A column b with a ``place_of[b]`` v has the
+    weight ``turned[s, v]`` in band s, and not ``used[b]``.
     """
-    width, start, modes = entries.start.size - 1, first[0], first[-1] - first[0]
-    body, scaled = np.empty((3, modes)), np.empty(3 * modes)
+    width, bands, modes = entries.start.size - 1, first.size - 1, first[first.size - 1]
+    body, turn = np.empty((3, modes)), np.empty((3, 3, modes))
+    for s in range(bands):
+        for e in range(3):
+            for m in range(first[s], first[s + 1]):
+                root = np.sqrt(gain[e, m])
+                for c in range(3):
+                    turn[e, c, m] = axes[s, c, e] * root
     for k in range(width):
         body[:] = 0.0
         for b in range(entries.start[k], entries.start[k + 1]):
             for c in range(3):
-                weight = used[b, c]
-                if weight == 0.0:
-                    continue
-                line = projection[c, b]
-                for m in range(modes):
-                    body[c, m] += weight * line[start + m]
-        for s in range(first.size - 1):
-            for e in range(3):
-                x, y, z = axes[s, 0, e], axes[s, 1, e], axes[s, 2, e]
-                for m in range(first[s] - start, first[s + 1] - start):
-                    value = x * body[0, m] + y * body[1, m] + z * body[2, m]
-                    seen[k, e * modes + m] = value
-                    scaled[e * modes + m] = gain[e, m] * value
-        for other in range(k + 1):
-            value = 0.0
-            for j in range(3 * modes):
-                value += scaled[j] * seen[other, j]
-            normal[k, other] += value
+                if place_of[b] >= 0:
+                    for s in range(bands):
+                        weight = turned[s, place_of[b], c]
+                        for m in range(first[s], first[s + 1]):
+                            body[c, m] += weight * projection[c, b, m]
+                elif used[b, c] != 0.0:
+                    weight = used[b, c]
+                    for m in range(modes):
+                        body[c, m] += weight * projection[c, b, m]
+        for e in range(3):
+            for m in range(modes):
+                seen[k, e * modes + m] = (
+                    turn[e, 0, m] * body[0, m]
+                    + turn[e, 1, m] * body[1, m]
+                    + turn[e, 2, m] * body[2, m]
+                )
+
+
+@compiled_sums
+def _add_squares(seen: Array, size: int, normal: Array) -> None:  # pragma: no cover - compiled
+    """Add the inner products of rows, of so many elements, to the lower triangle (P, P).
+
+    Eight at a time, of four rows with two: each element that is read serves several products.
+    Rows are filled up with zeros to a multiple of four.
+    """
+    width = len(normal)
+    for k in range(0, width, _TILE):
+        for other in range(0, min(k + _TILE, width), 2):
+            left_0 = left_1 = left_2 = left_3 = 0.0
+            right_0 = right_1 = right_2 = right_3 = 0.0
+            for j in range(size):
+                left, right = seen[other, j], seen[other + 1, j]
+                left_0 += seen[k, j] * left
+                left_1 += seen[k + 1, j] * left
+                left_2 += seen[k + 2, j] * left
+                left_3 += seen[k + 3, j] * left
+                right_0 += seen[k, j] * right
+                right_1 += seen[k + 1, j] * right
+                right_2 += seen[k + 2, j] * right
+                right_3 += seen[k + 3, j] * right
+            lefts = (left_0, left_1, left_2, left_3)
+            rights = (right_0, right_1, right_2, right_3)
+            for i in range(min(_TILE, width - k)):
+                normal[k + i, other] += lefts[i]
+                if other + 1 < width:
+                    normal[k + i, other + 1] += rights[i]
 
 
 @compiled_sums
@@ -614,19 +671,17 @@ def _moments(
                 weight = weights[c, b]
                 if weight == 0.0:
                     continue
-                line = gram[b, c, d]
                 # the square of one axis is symmetric: below the diagonal, and twice
                 end = b if c == d else size
                 part = 0.0
                 for a in range(end):
-                    part += line[a] * weights[d, a]
-                value += weight * (2.0 * part + line[b] * weight if c == d else part)
+                    part += gram[b, c, d, a] * weights[d, a]
+                value += weight * (2.0 * part + gram[b, c, d, b] * weight if c == d else part)
             out[c, d] = out[d, c] = value / rows
         for j in range(places.size):
-            line = gram[places[j], 0, c]
             value = 0.0
             for a in range(size):
-                value += line[a] * weights[c, a]
+                value += gram[places[j], 0, c, a] * weights[c, a]
             out[c, 3 + j] = out[3 + j, c] = value / rows
     for j in range(places.size):
         for k in range(places.size):
@@ -643,38 +698,30 @@ def _contract(
     ``first`` on are in the band.
     """
     start, size, second = entries.start, gram.shape[0], len(used) - 1
-    by_axis, gathered, products = np.empty((2, 3, size)), np.empty((2, 3, size)), np.empty(size)
+    filled = gram.shape[3]
+    by_axis, products = np.zeros((2, 3, filled)), np.empty((2, filled))
     for p in range(len(used)):
         for b in range(size):
             for c in range(3):
                 by_axis[p, c, b] = used[p, b, c]
     for k in range(first, start.size - 1):
-        end = start[k + 1]
-        gathered[:, :, :end] = 0.0
-        for b in range(start[k], end):
-            for c in range(3):
-                one_x = precision[0, c, 0] * used[0, b, 0]
-                one_y = precision[0, c, 1] * used[0, b, 1]
-                one_z = precision[0, c, 2] * used[0, b, 2]
-                other_x = precision[second, c, 0] * used[second, b, 0]
-                other_y = precision[second, c, 1] * used[second, b, 1]
-                other_z = precision[second, c, 2] * used[second, b, 2]
-                x, y, z = gram[b, 0, c], gram[b, 1, c], gram[b, 2, c]
-                one, other = gathered[0, c], gathered[1, c]
-                for a in range(end):
-                    one[a] += one_x * x[a] + one_y * y[a] + one_z * z[a]
-                    other[a] += other_x * x[a] + other_y * y[a] + other_z * z[a]
-        for p in range(len(used)):
-            for a in range(end):
-                products[a] = (
-                    by_axis[p, 0, a] * gathered[p, 0, a]
-                    + by_axis[p, 1, a] * gathered[p, 1, a]
-                    + by_axis[p, 2, a] * gathered[p, 2, a]
-                )
+        end = min(_filled(start[k + 1], FILLED), filled)
+        products[:, :end] = 0.0
+        for b in range(start[k], start[k + 1]):
+            for p in range(second + 1):
+                for c in range(3):
+                    x = precision[p, c, 0] * used[p, b, 0]
+                    y = precision[p, c, 1] * used[p, b, 1]
+                    z = precision[p, c, 2] * used[p, b, 2]
+                    for a in range(end):
+                        products[p, a] += by_axis[p, c, a] * (
+                            x * gram[b, 0, c, a] + y * gram[b, 1, c, a] + z * gram[b, 2, c, a]
+                        )
+        for p in range(second + 1):
             for before in range(first, k + 1):
                 value = 0.0
                 for b in range(start[before], start[before + 1]):
-                    value += products[b]
+                    value += products[p, b]
                 normal[p, k, before] += value
 
 

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
-from cassini_bayes.balance.kernel import Entries, FastBands, SlowBands, Turns
+from cassini_bayes.balance.kernel import FILLED, Entries, FastBands, SlowBands, Turns
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
@@ -220,20 +220,28 @@ class TelemetryBalance:
         contrasts = np.array([band.contrasts for band in self.turns], dtype=np.int64)
         first = np.r_[0, np.cumsum(contrasts)]
         first = first[first <= self.products.slopes.shape[2]]
-        rest = replace(self.products, turns=self.products.turns[len(first) - 1 :])
-        own = rest.of(self.reduced.entered)
+        products, columns = self.products, self.reduced.entered
         modes = np.r_[0, np.cumsum([band.rows for band in self.slow])]
-        slow = SlowBands(own.slow, modes, np.concatenate([band.faster for band in self.slow]))
+        slow = SlowBands(
+            np.ascontiguousarray(products.slow[:, columns]),
+            modes,
+            np.concatenate([band.faster for band in self.slow]),
+        )
         tables = [band.table for band in self.fast]
         nodes, coefficients = (np.array(each) for each in zip(*tables, strict=True))
         fast = FastBands(
-            _by_column(own.grams),
+            _by_column(products.grams, columns),
             np.array([float(band.rows) for band in self.fast]),
             np.array([band.faster.mean() for band in self.fast]),
             nodes,
             coefficients,
         )
-        turns = Turns(own.slopes, first, _by_column(own.turns), contrasts.astype(np.float64))
+        turns = Turns(
+            np.ascontiguousarray(products.slopes[:, columns]),
+            first,
+            _by_column(products.turns[len(first) - 1 :], columns),
+            contrasts.astype(np.float64),
+        )
         return slow, fast, turns
 
     @cached_property
@@ -343,9 +351,16 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     )
 
 
-def _by_column(grams: Array) -> Array:
-    """Gram matrices (F, 3, 3, B, B) as (F, B, 3, 3, B): what a column needs lies together."""
-    return np.ascontiguousarray(grams.transpose(0, 3, 1, 2, 4))
+def _by_column(grams: Array, columns: Places) -> Array:
+    """Gram matrices (F, 3, 3, A, A) of some B columns, as (F, B, 3, 3, B′).
+
+    What a column needs lies together; zeros from B on fill lines up (:data:`FILLED`).
+    """
+    count = len(columns)
+    result = np.zeros((len(grams), count, 3, 3, -(-count // FILLED) * FILLED))
+    for place, column in enumerate(columns):
+        result[:, place, :, :, :count] = grams[:, :, :, column].take(columns, axis=-1)
+    return result
 
 
 def _initial_gram(statistics: EventStatistics) -> Array:
