@@ -125,7 +125,7 @@ OWN_UNKNOWNS: Final = 1e-8
 DRAWN_EVIDENCE: Final = 1e-8  # weights are exponentials of such densities: 4e-10
 # A search ends a little elsewhere where differences, its slopes, round otherwise: 8e-9
 ENDED: Final = 1e-6
-NATS: Final = 0.05  # within which a search ends: 0.035 with one thread or two
+NATS: Final = 0.02  # within which a search ends: 3e-9 where sums round otherwise
 
 
 def off(found: Array, wanted: Array, floor: Array | float = 1.0) -> float:

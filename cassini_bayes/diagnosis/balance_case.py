@@ -38,6 +38,7 @@ from cassini_bayes.diagnosis.evidence import (
 )
 from cassini_bayes.diagnosis.gain import fits_to_hold_out, held_out
 from cassini_bayes.diagnosis.hypotheses import (
+    EFFECT_FARTHEST,
     Hypothesis,
     compact,
     extend,
@@ -90,6 +91,9 @@ linear model about one point, and the fit moves on."""
 HIGHER_NATS: Final = 0.5
 """By which another mode must be better: judgement, Laplace's evidence is good to 0.1, and all
 searches begin again."""
+EDGE: Final = 0.5
+"""Prior standard deviations from the wall at which a size is said to be there: a posterior that
+fills one has a thousandth of its prior's width, and lies at the wall itself."""
 UNKNOWN_STARTS: Final = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """Standard normals tried for the noise of ``unknown``: its prior covers a factor of 37 either
 way."""
@@ -316,6 +320,19 @@ class BalanceCase(Case[Hypothesis]):
             fits = [fit() for fit in self.fits_to_hold_out(weighed, log)]
         return held_out(self.events, weighed, rng, fits)
 
+    def at_edge(self, weighed: Candidate) -> Sequence[str]:
+        """Sizes at the wall of the search (:data:`.hypotheses.EFFECT_FARTHEST`)."""
+        hypothesis = weighed.hypothesis
+        keys = [f"{e.name}, {p.key}" for e in hypothesis.effects for p in e.parameters]
+        size = np.abs(weighed.mode.point[hypothesis.sizes])
+        return [
+            f"{key}: as large as any size that is weighed, {EFFECT_FARTHEST:g} standard deviations "
+            "of its prior: it may be larger, and its interval here is not one; give it a wider "
+            "prior (a table of effects, --effects)"
+            for key, own in zip(keys, size, strict=True)
+            if own > EFFECT_FARTHEST - EDGE
+        ]
+
     def examined(self, weighed: Candidate) -> Candidate:
         """With what a cause leaves of telemetry."""
         if not self.events.telemetry or weighed.remainder is not None or not weighed.is_cause:
@@ -524,9 +541,16 @@ def _from_centre(
 
 
 def _higher_from_centre(weighed: Candidate) -> Mode | None:
-    """The mode of a search that does not begin where the baseline was bent to, if it is higher."""
+    """The mode of a search that does not begin where the baseline was bent to, if it is higher.
+
+    It begins with no effect or with one of the size found so far, whatever is likelier: one that is
+    far larger than its prior expects is too far from none.
+    """
     hypothesis = weighed.hypothesis
-    mode = find_mode(hypothesis.log_density, hypothesis.dimension)
+    starts = np.zeros((2, hypothesis.dimension))
+    starts[1, hypothesis.sizes] = weighed.mode.point[hypothesis.sizes]
+    start = starts[int(hypothesis.log_density(starts).argmax())]
+    mode = find_mode(hypothesis.log_density, hypothesis.dimension, start)
     return mode if mode.log_evidence > weighed.log_evidence else None
 
 

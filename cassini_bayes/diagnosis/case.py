@@ -325,6 +325,11 @@ class Case(ABC, Generic[H]):
         del rng
         return pair
 
+    def at_edge(self, weighed: Weighed[H]) -> Sequence[str]:
+        """Which sizes of a hypothesis are as large as any that is weighed, in words."""
+        del weighed
+        return ()
+
     def examined(self, weighed: Weighed[H]) -> Weighed[H]:
         """A hypothesis with what it leaves of telemetry, where there is any."""
         return weighed

@@ -172,7 +172,7 @@ def _record(
     return {
         "format": 1,
         "events": list(case.event_ids),
-        "findings": list(case.findings),
+        "findings": [*case.findings, *_at_edge(case, verdict)],
         "baseline": _fit_record(case.unit, none, base_score, case.rmse(none)),
         "discrepant": verdict.is_discrepant,
         "p_value": measured["p"],
@@ -205,6 +205,12 @@ def _record(
         ],
         **shown.more,
     }
+
+
+def _at_edge(case: Case[H], verdict: Verdict[H]) -> list[str]:
+    """Sizes that no interval is right of: of the best cause, and of the model to go on with."""
+    shown = {id(w): w for w in (verdict.best_cause, verdict.extended) if w is not None}
+    return list(dict.fromkeys(line for w in shown.values() for line in case.at_edge(w)))
 
 
 def _not_negligible(shares: Mapping[str, float]) -> dict[str, float]:

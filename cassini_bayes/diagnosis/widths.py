@@ -150,6 +150,7 @@ def _sizes_at(
     """Sizes of a cause at another width, by its draws."""
 
     def drawn(own: Weighed[Hypothesis]) -> tuple[dict[str, Array], Array]:
-        return draws[id(own)], np.exp(reweighted(own, width))
+        log_weights = reweighted(own, width)  # none may be left beside 1, far out in a prior
+        return draws[id(own)], np.exp(log_weights - logsumexp(log_weights))
 
     return summarised(*mixed(drawn, cause))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
 from cassini_bayes.diagnosis.symptoms import find_symptoms
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.diagnosis.visible import visible_record
-from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import Blind, reduced
@@ -109,6 +110,12 @@ def verdict_of(events: Events) -> Verdict[Hypothesis]:
     return weigh(BalanceCase(events), np.random.default_rng(1), pairs=False)
 
 
+def only(events: Events, *names: str) -> Catalogue:
+    """Some causes of the catalogue, and ``unknown``."""
+    effects = tuple(events.catalogue.effect(name) for name in names)
+    return replace(events.catalogue, effects=effects)
+
+
 def drawn_effect(seed: int) -> tuple[str, dict[str, float]]:
     """A cause of the list and its size, once to twice the one there."""
     rng = np.random.default_rng(seed)
@@ -150,6 +157,25 @@ def test_what_bends_the_baseline_to_its_walls_is_found_from_the_centre() -> None
     values, weights = size_draws(verdict.best, np.random.default_rng(SEED))
     low, high = weighted_interval(values["inertia_xx_kg_m2"], weights, 0.998)
     assert low < value < high
+
+
+def test_a_leak_far_larger_than_its_prior_is_named_and_has_its_size() -> None:
+    """0.4 mN, thirteen of its prior's scales; of one of forty it is said that none is weighed."""
+    for value, is_beyond in ((4e-4, False), (1.2e-3, True)):
+        hidden = {"name": "thruster_leak:z3", "parameters": {"leak_n": value}}
+        events = flown(SEED, [hidden], short=True)
+        case = BalanceCase(replace(events, catalogue=only(events, "thruster_leak:z3")))
+        verdict = weigh(case, np.random.default_rng(1), pairs=False)
+        leak = verdict.named("thruster_leak:z3")
+        said = case.at_edge(leak)
+        assert len(said) == is_beyond
+        if is_beyond:
+            assert "give it a wider prior" in said[0]
+            continue
+        assert verdict.best is leak
+        values, weights = size_draws(leak, np.random.default_rng(SEED))
+        low, high = weighted_interval(values["leak_n"], weights, 0.998)
+        assert low < value < high
 
 
 def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None:

@@ -138,8 +138,10 @@ def trade_figure(trade: Trade) -> Figure:
                 (trade.prior[:, which], PRIOR, "prior"),
                 (trade.posterior[:, which], POSTERIOR, "posterior"),
             ):
+                # a density over all values: there may be none within the axis
+                each = np.full(len(values), 1.0 / (len(values) * (edges[1] - edges[0])))
                 panel.hist(
-                    values, edges, density=True, histtype="stepfilled", color=colour, alpha=0.6,
+                    values, edges, weights=each, histtype="stepfilled", color=colour, alpha=0.6,
                     label=label,
                 )  # fmt: skip
             panel.set_yticks([])
