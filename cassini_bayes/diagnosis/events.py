@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
-from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.effect import Effect, SearchResult
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
@@ -15,11 +16,12 @@ from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Events:
     """All that is diagnosed together, with the causes to weigh.
 
-    ``findings`` are warnings about the data: mistakes accepted, what fits nothing known.
+    ``findings`` are warnings about the data: mistakes accepted, what fits nothing known. Two are
+    the same if they are one: what is made of events is kept for them.
     """
 
     priors: Priors
@@ -27,6 +29,9 @@ class Events:
     rows: tuple[TotalsEvent, ...]
     catalogue: Catalogue
     findings: tuple[str, ...] = ()
+    _with_columns: list[tuple[tuple[SearchResult, ...], Events]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     @property
     def all(self) -> tuple[Event, ...]:
@@ -53,11 +58,14 @@ class Events:
 
     def with_columns_of(self, effects: Sequence[Effect]) -> Events:
         """The events with the columns that go with what searches settled for some effects."""
-        settled = [e.search_result for e in effects if e.search_result is not None]
+        settled = tuple(e.search_result for e in effects if e.search_result is not None)
         if not settled:
             return self
+        for known, events in self._with_columns:
+            if len(known) == len(settled) and all(map(operator.is_, known, settled)):
+                return events
         kinds = self.catalogue.kinds
-        return replace(
+        events = replace(
             self,
             telemetry=tuple(
                 event.with_columns(
@@ -69,6 +77,8 @@ class Events:
                 for event in self.telemetry
             ),
         )
+        self._with_columns.append((settled, events))
+        return events
 
 
 def prepare(

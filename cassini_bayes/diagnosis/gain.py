@@ -36,7 +36,7 @@ from cassini_bayes.diagnosis.modes import Mode, mode_from
 from cassini_bayes.diagnosis.onsets import without_event
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.effects.effect import Effect, onsets
-from cassini_bayes.model.posterior import collapse
+from cassini_bayes.model.posterior import collapse, of_events
 from cassini_bayes.model.thrusts import draw_thrusts
 from cassini_bayes.sampling.warmstart import lower_factor
 
@@ -179,8 +179,17 @@ def built(events: Events, name: str, effects: Sequence[Effect]) -> Hypothesis:
 
 
 def on_events(events: Events, weighed: Weighed[Hypothesis]) -> Hypothesis:
-    """A weighed hypothesis on other events, such as those with one left out."""
-    return built(events, weighed.name, weighed.hypothesis.effects)
+    """A weighed hypothesis on some of its events, such as all but one.
+
+    What is prepared of an event, such as its thrusts to some percent, stays what all events say:
+    scores compare the same model on more and on fewer events. Made anew where the others need
+    another model.
+    """
+    own = weighed.hypothesis
+    model = of_events(own.model, events.ids)
+    if model is None:
+        return built(events, weighed.name, own.effects)
+    return replace(own, model=model)
 
 
 def fitted_to(events: Events, weighed: Weighed[Hypothesis]) -> Mode:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -109,8 +110,17 @@ class Hypothesis:
         return np.nan_to_num(log_posterior(self.model, z), nan=LEAST, neginf=LEAST)
 
 
+_BASELINES: Final[WeakKeyDictionary[Events, Hypothesis]] = WeakKeyDictionary()
+
+
 def none_hypothesis(events: Events) -> Hypothesis:
-    """The baseline without torque noise."""
+    """The baseline without torque noise; made once for the same events."""
+    if events not in _BASELINES:
+        _BASELINES[events] = _none_hypothesis(events)
+    return _BASELINES[events]
+
+
+def _none_hypothesis(events: Events) -> Hypothesis:
     priors = events.priors
     if events.telemetry:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)

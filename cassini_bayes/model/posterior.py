@@ -232,7 +232,9 @@ def _with_rough_thrusts(model: Model) -> Model:
     parameters = {name: np.full(1, mean) for name, mean in model.priors.means().items()}
     at_means = {**parameters, TORQUE_NOISE: np.zeros(1)}
     nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
-    means, _ = thrust_moments(prior, _collapse_at(model, nominal).thrusts)
+    # columns that effects may use have no weight yet, and are most of them
+    lean = without_idle(model)
+    means, _ = thrust_moments(prior, _collapse_at(lean, nominal).thrusts)
     rough = np.maximum(means[0], 0.0)
     places = model.fired_of_term[len(model.totals) :]
     terms = [
@@ -323,6 +325,26 @@ def _chained(
     levels, factor = priors.earlier.levels(space.names)
     factor.setflags(write=False)
     return replace(prior, shared=factor, chained=levels)
+
+
+def of_events(model: Model, ids: Collection[str]) -> Model | None:
+    """The model of some of its telemetry events, each prepared as it is in the whole.
+
+    None where these need another model: beside totals rows, or where they fire with other thrusters
+    or wheels, or walk fewer parameters.
+    """
+
+    def needed(terms: Sequence[TelemetryTerm]) -> tuple[set[str], set[int], bool]:
+        return (
+            {name for term in terms for name in term.parameters},
+            {number for term in terms for number in term.event.wheels},
+            any(term.event.fires for term in terms),
+        )
+
+    kept = tuple(term for term in model.telemetry if term.id in ids)
+    if model.totals or needed(kept) != needed(model.telemetry):
+        return None
+    return replace(model, telemetry=kept)
 
 
 def without_idle(model: Model) -> Model:
