@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -32,11 +33,11 @@ def priors_of(torque_noise: bool = True) -> Priors:
 
 
 def event_folders(
-    folder: Path, count: int = BIASES, effect: dict[str, Any] | None = None
+    folder: Path, count: int = BIASES, effects: Sequence[dict[str, Any]] = ()
 ) -> list[Path]:
     """Biases (from about 1,200 rows at 1 Hz) and a slew set, simulated once, as folders.
 
-    ``effect`` is hidden in all of them.
+    ``effects`` are hidden in all of them.
     """
     names = [f"bias-{i + 1}" for i in range(count)] + ["slews"]
     if not all((folder / name / "telemetry.csv").exists() for name in names):
@@ -46,8 +47,7 @@ def event_folders(
         biases = [dict(events["bias-1"], id=name) for name in names[:-1]]
         draw_wheel_rates(biases[1:], rng)
         document["event"] = [*biases, events["slews"]]
-        if effect is not None:
-            document["effect"] = [{**effect, "events": names}]
+        document["effect"] = [{**effect, "events": names} for effect in effects]
         scenario = scenario_of(document, SCENARIO.parent, str(SCENARIO))
         write_simulation(simulate_file(scenario, SEED, priors=priors_of()), folder)
     return [folder / name for name in names]

@@ -187,7 +187,7 @@ class BalanceCase(Case[Hypothesis]):
             what = "searches for further beginnings"
             _, near = _side_by_side((), (), further, base, what, workers)
             causes += weigh_extensions(further, near, base, log, workers, floor)
-        if causes and _is_far_from_prior(base) and not _is_explained(causes, unknown_mode):
+        if causes and _is_far_from_prior(base.point) and not _is_explained(causes, unknown_mode):
             log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
                 "best first"
@@ -505,14 +505,18 @@ def _beside_best_beginning(causes: Sequence[Candidate], workers: StageRunner) ->
     ]
 
 
-def _is_far_from_prior(mode: Mode) -> bool:
-    return bool(np.abs(mode.point).max() > FAR_FROM_PRIOR)
+def _is_far_from_prior(point: Array) -> bool:
+    return bool(np.abs(point).max() > FAR_FROM_PRIOR)
 
 
 def _is_explained(causes: Sequence[Candidate], unknown: Mode) -> bool:
-    """Whether the best cause beats ``unknown`` with parameters that are not far out themselves."""
+    """Whether the best cause beats ``unknown`` and leaves the baseline's parameters near theirs.
+
+    How large the cause itself is does not matter.
+    """
     best = max(causes, key=lambda cause: cause.log_evidence)
-    return best.log_evidence > unknown.log_evidence and not _is_far_from_prior(best.mode)
+    beside = best.mode.point[: best.hypothesis.sizes.start]
+    return best.log_evidence > unknown.log_evidence and not _is_far_from_prior(beside)
 
 
 def _from_centre(

@@ -26,6 +26,7 @@ def read_events(
     log: Log = silent,
     kinds: Kinds | None = None,
     policy: Policy = STRICT,
+    processes: int = 1,
 ) -> Events:
     """Read event folders and totals rows.
 
@@ -43,6 +44,8 @@ def read_events(
         The effects that there are; those of the package by default.
     policy
         Mistakes in the data that the user accepts.
+    processes
+        That read at the same time.
 
     Raises
     ------
@@ -50,7 +53,7 @@ def read_events(
         Bad data or priors, as when fitting.
     """
     known = priors if isinstance(priors, Priors) else read_priors(priors)
-    result, findings = gather(references, known, source=source, policy=policy)
+    result, findings = gather(references, known, source=source, policy=policy, processes=processes)
     telemetry = [event for event in result if isinstance(event, ReducedEvent)]
     rows = [event for event in result if isinstance(event, TotalsEvent)]
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")

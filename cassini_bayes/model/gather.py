@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
@@ -119,6 +120,7 @@ def gather(
     source: str = "flight",
     policy: Policy = STRICT,
     log: Log = silent,
+    processes: int = 1,
 ) -> tuple[tuple[Event, ...], tuple[str, ...]]:
     """Events ready for a model, and what was accepted or fits nothing known.
 
@@ -131,18 +133,28 @@ def gather(
         They decide how telemetry is reduced.
     policy
         Mistakes that the caller accepts; none by default.
+    processes
+        That read at the same time: what fits nothing known takes some seconds to try explanations.
 
     Raises
     ------
     InputError
-        Bad data: file, row and column are named.
+        Bad data, of the first event that has some: file, row and column are named.
     """
-    reads = [
-        read_reference(
-            given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
-        )
-        for given in each_event(events)
-    ]
+
+    def read(given: EventLike) -> Read | InputError:
+        try:
+            return read_reference(
+                given, priors, pulse_shape=pulse_shape, source=source, policy=policy, log=log
+            )
+        except InputError as error:  # whichever comes first in time: the first in order counts
+            return error
+
+    reads: list[Read] = []
+    for result in in_processes(read, list(each_event(events)), processes):
+        if isinstance(result, InputError):
+            raise result
+        reads.append(result)
     return together(reads, priors, policy)
 
 

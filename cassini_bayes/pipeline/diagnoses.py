@@ -277,7 +277,8 @@ def diagnose(
     names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
     kinds = read_kinds([Path(path) for path in effect_files])
     policy = Policy.of(accept, leave_out=leave_out)
-    case = _case(given, priors, kinds, source, policy, log)
+    processes = cores() if workers is None else workers
+    case = _case(given, priors, kinds, source, policy, log, processes)
     digests = _digests(given, priors, case)
     place = None if folder is None else Path(folder)
     store = None
@@ -294,7 +295,6 @@ def diagnose(
         }
         read = {**digests, **kinds.files}
         store = _opened(place, settings, read, command, force=force, resume=resume)
-    processes = cores() if workers is None else workers
     results: Diagnosis[Any] = diagnose_case(
         case,
         np.random.default_rng(seed),
@@ -350,6 +350,7 @@ def _case(
     source: str,
     policy: Policy,
     log: Log,
+    processes: int,
 ) -> Case[Any]:
     paths = [Path(event) for event in given if not isinstance(event, READ)]
     if any(map(is_estimates, paths)):
@@ -358,4 +359,5 @@ def _case(
                 "events", "estimates alone, and a priors file", "others", "diagnose them by path"
             )
         return read_estimate_case([str(path) for path in paths], Path(priors), kinds)
-    return BalanceCase(read_events(given, priors_of(priors), source, log, kinds, policy))
+    known = priors_of(priors)
+    return BalanceCase(read_events(given, known, source, log, kinds, policy, processes))

@@ -80,3 +80,19 @@ def test_honest_events_are_read() -> None:
     """The same events without a mistake pass."""
     events = read_events([str(simulated() / name) for name in ("bias", "slews")], PRIORS)
     assert [event.id for event in events.telemetry] == ["bias", "slews"]
+
+
+def test_two_processes_read_the_same_and_name_the_first_mistake(tmp_path: Path) -> None:
+    """Events, in their order, as one process reads them; of two bad ones the first is named."""
+    names = [str(simulated() / name) for name in ("bias", "slews")]
+    one, two = (read_events(names, PRIORS, processes=n).telemetry for n in (1, 2))
+    for old, new in zip(one, two, strict=True):
+        assert (old.id, old.digest) == (new.id, new.digest)
+        assert np.array_equal(old.statistics.gram, new.statistics.gram)
+    for name in ("bias", "slews"):
+        shutil.copytree(simulated() / name, tmp_path / name)
+    lacks = [tmp_path / name / "telemetry.csv" for name in ("bias", "slews")]
+    for path in lacks:
+        path.unlink()
+    with pytest.raises(InputError, match="bias"):
+        read_events([str(path.parent) for path in lacks], PRIORS, processes=2)

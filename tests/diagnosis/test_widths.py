@@ -95,10 +95,14 @@ def test_probability_and_size_at_every_width_are_the_closed_form(
         assert row["probabilities"]["x"] == pytest.approx(factor / (1.0 + factor), abs=0.01)
         mean = seen / (1.0 + (NOISE_SD / sd) ** 2)
         assert row["sizes"]["x"]["mean"] == pytest.approx(mean, abs=0.1 * NOISE_SD)
+        half_width = 1.645 / np.hypot(1.0 / sd, 1.0 / NOISE_SD)
+        ends = [mean - half_width, mean + half_width]
+        # where the density is flat, the ends of the shortest interval of draws scatter
+        assert row["sizes"]["x"]["hdi_90"] == pytest.approx(ends, abs=0.3 * NOISE_SD)
 
 
 def test_a_width_that_draws_do_not_reach_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few draws of a clear effect say nothing of a prior a quarter as wide."""
+    """Few draws of a clear effect say nothing of a prior a quarter as wide; ends stay in order."""
     monkeypatch.setattr(
         "cassini_bayes.diagnosis.widths.size_draws",
         lambda own, _: ({"x": PRIOR_SD * own.z[:, 0]}, np.ones(len(own.z))),
@@ -107,4 +111,7 @@ def test_a_width_that_draws_do_not_reach_is_not_trusted(monkeypatch: pytest.Monk
     assert found[0]["width"] == 0.25
     assert found[0]["pareto_k"] > TRUSTED_K
     assert not found[0]["trusted"]
+    # its weights are as good as nothing: only their ratios count
+    low, high = found[0]["sizes"]["x"]["hdi_90"]
+    assert 0.0 < low <= high < 8.0e-3 + 5.0 * NOISE_SD
     assert {row["width"] for row in found if row["trusted"]} >= {1.0, 2.0**0.5}
