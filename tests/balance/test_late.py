@@ -15,7 +15,7 @@ import cassini_bayes.balance.flat_motion
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, layout_of, reduce_chunks
 from cassini_bayes.balance.statistics.columns import close_pairs, effective_increments
-from cassini_bayes.balance.statistics.counters import firings
+from cassini_bayes.balance.statistics.counters import delivered_pulses, firings
 from cassini_bayes.balance.statistics.late import late_pulses
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
@@ -94,6 +94,41 @@ def test_tails_are_where_pulses_begin() -> None:
 
     found = effective_increments(on_time, pulses, plain)[:, 0, 0]
     assert found == pytest.approx([0.155, 0.280, 0.185])
+
+
+def test_a_pulse_that_has_just_begun_at_a_reading_comes_with_the_next() -> None:
+    """Pulses of one cycle, cut by readings: counted where their on-time is; longer ones hide it."""
+    on_time = 0.125 * np.array([0.0, 1.0, 1.0, 2.0, 3.0, 3.0, 3.0, 5.0, 5.0])[:, None]
+    pulses = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 3.0, 4.0, 5.0, 6.0])[:, None]
+    found = delivered_pulses(on_time, pulses, 0.125)[:, 0]
+    # the second and the third have just begun at their readings, the fourth as well; of the last
+    # nothing came
+    assert found.tolist() == [0.0, 1.0, 1.0, 2.0, 3.0, 3.0, 3.0, 5.0, 6.0]
+    longer = on_time + 0.125 * np.arange(9.0)[:, None]
+    assert delivered_pulses(longer, pulses, 0.125).tolist() == pulses.tolist()
+
+
+def test_tails_of_pulses_that_readings_cut_are_not_credited_before_they_come() -> None:
+    """Of 300 pulses of one cycle those that begin at a reading; with some of two cycles none."""
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0, 4_000.0, 10.0)
+    begins = np.sort(0.125 * rng.choice(int(time[-1] / 0.125), 900, replace=False))
+    priors = telemetry_priors()
+    guard_s = sampling_of(priors, priors.spacecraft.thruster_names("B"), 1.0, "first_order").guard_s
+    plain = made_up_samples(rng, len(time))
+    for longer in (0, 90):
+        width = np.full(len(begins), 0.125)
+        width[:longer] = 0.25
+        ages = np.subtract.outer(time, begins)
+        pulses = np.tile((ages >= 0.0).sum(axis=1, dtype=np.float64)[:, None], (1, 8))
+        on_time = np.tile(np.clip(ages, 0.0, width).sum(axis=1)[:, None], (1, 8))
+        state = (plain.attitude, plain.rate_rad_s, plain.wheel_rad_s)
+        found = prepare([Samples(time, *state, on_time, pulses)], 0.125, guard_s)
+        assert found.found.late.block_s > 0.0
+        late = np.tile((ages == 0.0).sum(axis=1)[:, None], (1, 8))
+        late[-1] = 0
+        wanted = pulses - late if longer == 0 else pulses
+        assert np.array_equal(found.pulses, wanted[np.searchsorted(time, found.counter_time_s)])
 
 
 def test_more_pulses_are_closer() -> None:

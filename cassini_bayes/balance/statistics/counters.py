@@ -155,11 +155,17 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     thrusters = range(on_time_s.shape[1])
     if step_s < LEAST_STEP_S:
         return OnTimes(np.array(on_time_s, dtype=np.float64), (KNOWN,) * len(thrusters))
-    said = {is_quantised(on_time_s[:, k], pulses[:, k], step_s, quantum_s) for k in thrusters}
-    if True in said and False not in said:
+    if are_quantised(on_time_s, pulses, step_s, quantum_s):
         gained = quantum_s * np.round((on_time_s - on_time_s[0]) / quantum_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
     return _smoothed(on_time_s, pulses, step_s)
+
+
+def are_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool:
+    """Whether readings (m, K) of some thruster say :func:`is_quantised`, and of none that not."""
+    each = zip(on_time_s.T, pulses.T, strict=True)
+    said = {is_quantised(*own, step_s, quantum_s) for own in each}
+    return True in said and False not in said
 
 
 def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
@@ -186,6 +192,31 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
+
+
+def delivered_pulses(on_time_s: Array, pulses: Array, least_s: float) -> Array:
+    """Pulses (m, K) whose on-time is counted: without those that have just begun at a reading.
+
+    A pulse is counted when it begins. Where pulses last ``least_s`` or a little more, a thruster
+    that gained more of them than its on-time has room for has just begun one, and its on-time comes
+    with the next reading. Whatever else it gains beyond its on-time comes then, too.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the cumulative counters, in order.
+    least_s
+        What a pulse lasts at least.
+    """
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    surplus = begun - np.floor(gained / least_s + _SLACK)
+    # as many as there is room for: whatever was so at the reading before
+    told = np.where(surplus != 0.0, np.arange(len(surplus))[:, None], -1)
+    last = np.maximum.accumulate(told, axis=0)
+    begins = (last >= 0) & (np.take_along_axis(surplus, np.maximum(last, 0), axis=0) > 0.0)
+    begins[:-1] &= gained[1:] > 0.0
+    begins[-1:] = False
+    return np.asarray(pulses - np.concatenate([np.zeros_like(pulses[:1]), begins]))
 
 
 def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:

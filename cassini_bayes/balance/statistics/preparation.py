@@ -13,7 +13,12 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.statistics.channel_noise import channel_noise
-from cassini_bayes.balance.statistics.counters import counter_step, expected_on_times
+from cassini_bayes.balance.statistics.counters import (
+    are_quantised,
+    counter_step,
+    delivered_pulses,
+    expected_on_times,
+)
 from cassini_bayes.balance.statistics.reduction import (
     ChannelSteps,
     LateRows,
@@ -33,6 +38,9 @@ WIDTHS: Final = 48  # that stand for all widths
 LEAST_QUIET: Final = 0.1
 # Controllers answer what is late; within a block of this length they have done so.
 BLOCK_S: Final = 16.0
+# Of pulses that may last longer than a control cycle, where readings shall say which have just
+# begun: a twentieth (docs/results/likelihood-experiments.md). With an eighth they seldom do.
+LONGER: Final = 0.05
 _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 
 
@@ -40,25 +48,30 @@ _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 class Prepared:
     """What a first look found, and the telemetry with it.
 
-    ``counter_time_s`` (m,) and ``on_time_s`` (m, K) are expected on-times at the readings around
-    every change. ``end_s`` is the time of the last row.
+    ``counter_time_s`` (m,), ``on_time_s`` and ``pulses`` (m, K) are expected on-times, and pulses
+    whose on-time is counted, at the readings around every change. ``end_s`` is the time of the last
+    row.
     """
 
     found: Preparation
     counter_time_s: Array
     on_time_s: Array
+    pulses: Array
     end_s: float
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """The same telemetry with expected on-times in the place of rounded ones."""
+        """The same telemetry with these in the place of what was read."""
         for chunk in chunks:
             if len(self.counter_time_s) == 0 or chunk.on_time_s.shape[1] == 0:
                 yield chunk
                 continue
             place = np.searchsorted(self.counter_time_s, chunk.time_s + SAME_S, side="right") - 1
-            on_time = self.on_time_s[np.maximum(place, 0)]
-            read = np.isfinite(chunk.on_time_s)
-            yield replace(chunk, on_time_s=np.where(read, on_time, chunk.on_time_s))
+            place, read = np.maximum(place, 0), np.isfinite(chunk.on_time_s)
+            yield replace(
+                chunk,
+                on_time_s=np.where(read, self.on_time_s[place], chunk.on_time_s),
+                pulses=np.where(read, self.pulses[place], chunk.pulses),
+            )
 
 
 def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -> Prepared:
@@ -93,7 +106,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     time, on_time, pulses = readings.around_changes()
     if len(time) == 0:
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
-        return Prepared(Preparation(steps, noise), time, on_time, end_s)
+        return Prepared(Preparation(steps, noise), time, on_time, pulses, end_s)
     step_s = counter_step(on_time)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
@@ -110,8 +123,11 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
+        are_cycles = are_quantised(on_time, pulses, step_s, control_cycle_s)
+        if are_cycles and width < (1.0 + LONGER) * control_cycle_s:
+            pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
-    return Prepared(found, time, expected.on_time_s, end_s)
+    return Prepared(found, time, expected.on_time_s, pulses, end_s)
 
 
 def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
