@@ -116,11 +116,21 @@ def _met(row: dict[str, Any]) -> str:
     return "yes" if row["wall_s"] <= GOALS_S[row["events"]] else "no"
 
 
+def _range(row: dict[str, Any]) -> str:
+    """Of repeats, where there were some."""
+    ends = row["least_s"], row["most_s"]
+    return "" if ends[0] == ends[1] else f" ({ends[0]:.1f}-{ends[1]:.1f})"
+
+
+def _often(repeats: int) -> str:
+    return "once" if repeats == 1 else f"{repeats} times: the median, and the range in brackets"
+
+
 def page(rows: list[dict[str, Any]], repeats: int) -> str:
     """The results page."""
     lines = [
         f"| {row['events']} | {row['hidden']} | {row['first']} ({row['probability']:.3f}) |"
-        f" {row['wall_s']:.1f} ({row['least_s']:.1f}-{row['most_s']:.1f}) |"
+        f" {row['wall_s']:.1f}{_range(row)} |"
         f" {row['cpu_s']:.0f} | {row['load']:.1f} |"
         f" {GOALS_S[row['events']]:.0f}: {_met(row)} |"
         for row in rows
@@ -130,7 +140,7 @@ def page(rows: list[dict[str, Any]], repeats: int) -> str:
 How long does `cassini-bayes diagnose` take over the whole catalogue? From event folders at 1 Hz
 (biases of 790 to 1,200 rows, a slew set of 3,601) to the report, as a process of its own: start,
 held-out gain and figures are included, compiled code comes from the cache. {os.cpu_count()}
-cores; version {__version__}. Each was run {repeats} times: the median, and the range in brackets.
+cores; version {__version__}. Each was run {_often(repeats)}.
 Goals are those for all that may be hidden: 15 s for three events, 60 s for six.
 *Load* is that of the machine before the start. What else ran then took part of both cores.
 
