@@ -114,6 +114,17 @@ def test_a_long_pulse_among_alike_ones_is_believed() -> None:
     assert np.median(ratio) < 0.3
 
 
+def test_unlike_pulses_between_readings_that_are_used_are_told_by_all() -> None:
+    """Of pulses of some 39 ms on 10 ms not all readings are used; 104 beside 37 ms stay unlike."""
+    rng = np.random.default_rng(2)
+    widths = 0.037 + rng.exponential(0.003, 49)
+    widths[[1, 20, 35]] = 0.104
+    shown, true, pulses = readings(widths, 0.01)
+    found = expected_on_times(shown, pulses, 0.01, CYCLE_S)
+    assert found.rounding[0].every > 1.0
+    assert abs(found.on_time_s - true).max() < 0.01  # half of 65 ms where they share evenly
+
+
 @pytest.mark.statistical
 def test_few_firings_tell_the_scatter_of_widths_together() -> None:
     """Six thrusters of ten pulses of 118 ± 20 ms on steps of 50 ms, as one controller has them.

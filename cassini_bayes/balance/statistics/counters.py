@@ -17,8 +17,8 @@ w by least squares and v_m = v n_m times how far the firing departs, as of Stude
 thrusters; E[Δc | u] = n w + diag(v) Var⁻¹ (Δu − n w). What stays open of the levels C_m is a
 random walk of steps v_m seen with white noise σ²: precision (1 + Dᵀ Q⁻¹ D)/σ², D the differences
 and Q = diag(v)/σ². Where steps are not short beside the firings, an error of v is one of thrust.
-Then only some of the readings are used: what lies between two of them counts as one firing, whose
-pulses share its on-time evenly, and the precision has ones for these readings alone.
+Then only some of the readings are used: what lies between two of them counts as one firing, and the
+precision has ones for these readings alone. Its on-time is shared by its pulses as all readings say.
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
@@ -245,7 +245,10 @@ def _gained(
     together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
     width = _mean_width(together, pulses, own, rounding)
     widths = width + own / pulses * rounding * _solve(together - pulses * width, own, rounding)
-    expected = count * np.repeat(widths, np.diff(starts, append=len(seconds)))
+    # sums of several firings by the readings that are used, and within them by all
+    within = count * width + spreads * rounding * _solve(seconds - count * width, spreads, rounding)
+    lacking = widths - np.add.reduceat(within, starts) / pulses
+    expected = within + count * np.repeat(lacking, np.diff(starts, append=len(seconds)))
     # Within a run by what the readings show; a run too short to show anything, by its pulses.
     shown = np.where(seconds[run] > 0.0, change[active], begun[active])
     share = shown / np.bincount(run, shown)[run]
