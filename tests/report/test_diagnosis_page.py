@@ -112,6 +112,12 @@ def test_overlay_and_trade_are_drawn_of_what_there_is() -> None:
     draws = rng.normal(size=(50, 2))
     drawn = trade_figure(Trade("c", "size", "thrust level of Z3", -0.7, draws, 3.0 * draws, "N"))
     assert drawn.axes[2].get_ylabel() == "thrust level of Z3 (N)"
+    for shift in (0.0, 100.0):  # a prior near the posterior, and one far from it
+        far = trade_figure(Trade("c", "size", "tau_fall_s", 0.0, draws + shift, 3.0 * draws))
+        low, high = far.axes[2].get_xlim()
+        assert low < draws[:, 0].min() + shift
+        assert draws[:, 0].max() + shift < high
+        assert high - low < 10.0 * np.ptp(draws[:, 0])
 
 
 def test_what_would_have_been_seen_is_a_table_with_a_place_in_the_contents() -> None:

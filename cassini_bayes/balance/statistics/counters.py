@@ -18,7 +18,7 @@ thrusters; E[Δc | u] = n w + diag(v) Var⁻¹ (Δu − n w). What stays open of
 random walk of steps v_m seen with white noise σ²: precision (1 + Dᵀ Q⁻¹ D)/σ², D the differences
 and Q = diag(v)/σ². Where steps are not short beside the firings, an error of v is one of thrust.
 Then only some of the readings are used: what lies between two of them counts as one firing, and the
-precision has ones for these readings alone. Its on-time is shared by its pulses as all readings say.
+precision has ones for these readings alone. Its pulses share its on-time as all readings say.
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 

@@ -36,6 +36,8 @@ BASELINE_LINE: Final[dict[str, Any]] = {"lw": 2.2, "color": POSTERIOR, "alpha": 
 EXTENDED_LINE: Final[dict[str, Any]] = {"lw": 0.9, "color": EXTENDED}
 CONTOURS: Final = (0.5, 0.9)  # probability inside
 _POINTS: Final = 2_500  # of a curve: more than a page has pixels
+_ROOM: Final = 4.0  # widths of a posterior that a prior may take on either side of it
+_MARGIN: Final = 0.2  # and that are left free at least
 _BINS: Final = 40  # each way: a bin holds some draws of a few thousand
 
 
@@ -146,6 +148,9 @@ def trade_figure(trade: Trade) -> Figure:
                 )  # fmt: skip
             panel.set_yticks([])
             panel.set_xlim(*ends[which])
+        for panel in (panels[0, 0], panels[1, 0], panels[1, 1]):
+            panel.locator_params(axis="x", nbins=5)
+            panel.ticklabel_format(axis="x", scilimits=(-3, 4), useOffset=False)
         across = panels[1, 0]
         for values, colour in ((trade.prior, PRIOR), (trade.posterior, POSTERIOR)):
             across.plot(*values.T, ".", ms=2.0, color=colour, alpha=0.5, rasterized=True)
@@ -163,12 +168,18 @@ def trade_figure(trade: Trade) -> Figure:
 
 
 def _ends(trade: Trade, which: int) -> tuple[float, float]:
-    """Of an axis: the posterior with as much of the prior as leaves it to be seen."""
+    """Of an axis: the posterior with as much of the prior as leaves it to be seen.
+
+    None of a prior that lies beyond that: the space up to it would be empty.
+    """
     own, prior = trade.posterior[:, which], trade.prior[:, which]
     low, high = np.quantile(own, (0.001, 0.999))
+    margin, room = _MARGIN * (high - low), _ROOM * (high - low)
     least, most = np.quantile(prior, (0.005, 0.995))
-    room = 4.0 * (high - low)
-    return float(max(min(least, low), low - room)), float(min(max(most, high), high + room))
+    if most < low - room or least > high + room:
+        least, most = low, high
+    left = max(min(least, low - margin), low - room)
+    return float(left), float(min(max(most, high + margin), high + room))
 
 
 def _ellipse(values: Array, share: float) -> Array:
