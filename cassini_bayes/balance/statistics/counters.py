@@ -244,10 +244,10 @@ def _gained(
     starts = read_levels(len(seconds) + 1, every)[:-1]
     together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
     width = _mean_width(together, pulses, own, rounding)
-    widths = width + own / pulses * rounding * _solve(together - pulses * width, own, rounding)
     # sums of several firings by the readings that are used, and within them by all
-    within = count * width + spreads * rounding * _solve(seconds - count * width, spreads, rounding)
-    lacking = widths - np.add.reduceat(within, starts) / pulses
+    sums = pulses * width + _departing(together, pulses, width, own, rounding)
+    within = count * width + _departing(seconds, count, width, spreads, rounding)
+    lacking = (sums - np.add.reduceat(within, starts)) / pulses
     expected = within + count * np.repeat(lacking, np.diff(starts, append=len(seconds)))
     # Within a run by what the readings show; a run too short to show anything, by its pulses.
     shown = np.where(seconds[run] > 0.0, change[active], begun[active])
@@ -304,10 +304,17 @@ def _shared(log_p: Array, tried: Array) -> Array:
     return np.asarray(weights / weights.sum(axis=1)[:, None])
 
 
+def _departing(
+    seconds: Array, count: Array, width: float, spreads: Array, rounding: float
+) -> Array:
+    """What is expected of firings (R,) beyond pulses of a width: diag(v) Var⁻¹ (Δu − n w)."""
+    return rounding * spreads * _solve(seconds - count * width, spreads, rounding)
+
+
 def _departures(own: Firings, spreads: Array, spread: float, rounding: float) -> Array:
     """How much larger than usual the variances of firings (R,) are, by how far each departs."""
-    missed = own.seconds - own.pulses * _mean_width(own.seconds, own.pulses, spreads, rounding)
-    departs = rounding * spreads * _solve(missed, spreads, rounding)
+    width = _mean_width(own.seconds, own.pulses, spreads, rounding)
+    departs = _departing(own.seconds, own.pulses, width, spreads, rounding)
     squares = departs**2 / (rounding * max(spread, SPREADS[1]) * own.pulses)
     return np.asarray((FREEDOM + squares) / (FREEDOM + 1.0))
 
