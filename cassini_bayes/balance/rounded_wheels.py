@@ -23,6 +23,7 @@ WINDOW: Final = 8  # rows on either side; a wheel that gains a step between thei
 # Steps squared. Readings of two neighbouring values scatter by p (1 − p) <= 1/4, however the wheel
 # rests; more than that is noise of half a step and more, which leaves nothing of a rounding.
 DITHERED: Final = 0.3
+LEAST_DRIFT: Final = 2 * WINDOW  # rows at rest for every cosine that tells slow motion
 
 
 @dataclass(frozen=True)
@@ -173,6 +174,41 @@ def wheel_squares(
         by_row = np.stack([found.moving.astype(np.float64), step**2 * found.variance])
         on[:2, :, j] = stride * by_row @ square
         on[2, :, j] = at_rest @ together
+        drifts = step * _drifts(np.round(own / step), found)
+        on[1, :, j] += stride**2 * ((drifts @ on_modes) ** 2).sum(axis=0)
         over[:2, j] = stride * by_row.sum(axis=1)
+        over[1, j] += stride * (drifts**2).sum()
         over[2, j] = stride * lengths[lengths > 1].sum()
     return WheelSquares(*on), WheelSquares(*over)
+
+
+def slow_motion(shown: Array, white: float) -> Array:
+    """What a wheel at rest seems to do slowly (D, n), from what is printed (n,), in its unit.
+
+    Near the threshold of two printed values the mean of what is printed goes from one to the other
+    within the noise, which may be much less than a step. So what looks like motion is mostly
+    rounding. As an error it has the size that cosines show beyond ``white`` noise and its chance
+    (one standard deviation), by octave.
+    """
+    n = len(shown)
+    count = n // LEAST_DRIFT
+    if count == 0 or np.ptp(shown) == 0.0:
+        return np.zeros((0, n))
+    order, place = np.arange(1, count + 1), (np.arange(n) + 0.5) / n
+    waves = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(order, place))
+    octave = np.frexp(order)[1] - 1
+    cosines = np.bincount(octave)
+    square = np.bincount(octave, (waves @ shown) ** 2) / cosines
+    excess = square - white * (1.0 + np.sqrt(2.0 / cosines))
+    return np.asarray(np.sqrt(np.maximum(excess, 0.0))[octave, None] * waves)
+
+
+def _drifts(levels: Array, found: Rests) -> Array:
+    """Slow motions (D, r) of printed levels (r,) in all stretches at rest, in steps."""
+    drifts = [np.zeros((0, len(levels)))]
+    for start, length in zip(found.starts.tolist(), found.lengths.tolist(), strict=True):
+        own = slow_motion(levels[start : start + length], found.variance[start])
+        slowly = np.zeros((len(own), len(levels)))
+        slowly[:, start : start + length] = own
+        drifts.append(slowly)
+    return np.concatenate(drifts)

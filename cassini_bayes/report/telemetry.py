@@ -169,7 +169,7 @@ def telemetry(review: Review) -> Iterator[Section]:
             Paragraph(
                 "The balance of every row that enters the likelihood, at the posterior. Rows taken "
                 "while a pulse was being delivered are left out by design. Where hardly any others "
-                "are, rows are means over 16 s, and what is late in them is noise. The noise band "
+                "are, rows are means over 32 s, and what is late in them is noise. The noise band "
                 "holds white channel noise and the torque noise of the fit; 90 % of rows should "
                 "lie inside."
             ),

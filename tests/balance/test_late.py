@@ -163,12 +163,12 @@ def ceaseless(rows: int = 400) -> Samples:
 
 
 def test_blocks_do_not_depend_on_chunks() -> None:
-    """Rows are means over 16 s, however they come; few quiet rows are what asks for it."""
+    """Rows are means over 32 s, however they come; few quiet rows are what asks for it."""
     samples, priors = ceaseless(), telemetry_priors()
     sampling = sampling_of(priors, priors.spacecraft.thruster_names("B"), 399.0, "first_order")
     layout = layout_of((1, 2, 4), priors.spacecraft.thruster_names("B"), sampling)
     found = prepare([samples], 0.125, sampling.guard_s).found
-    assert found.late.block_s == 16.0
+    assert found.late.block_s == 32.0
     assert found.late.width_s == pytest.approx(0.125)
     assert found.late.rate_hz == pytest.approx([398.0 / 399.0] * 8)
 
@@ -178,12 +178,12 @@ def test_blocks_do_not_depend_on_chunks() -> None:
 
     whole = reduce_chunks("e", "bias", [samples], layout, sampling, prepared=found)
     parts = reduce_chunks("e", "bias", chunks(207), layout, sampling, prepared=found)
-    assert whole.rows == 25
-    assert whole.counters.averaged == pytest.approx(400 / 25)
+    assert whole.rows == 13
+    assert whole.counters.averaged == pytest.approx(400 / 13)
     assert whole.turns.pieces == 0
     assert parts.gram == pytest.approx(whole.gram, rel=1e-12)
     rates = [
-        samples.rate_rad_s[max(start, 1) : start + 16].mean(axis=0) for start in range(0, 400, 16)
+        samples.rate_rad_s[max(start, 1) : start + 32].mean(axis=0) for start in range(0, 400, 32)
     ]
     one, rate = layout.one, layout.rate
     assert whole.gram[0, 0, one, rate] == pytest.approx(np.sum(rates, axis=0), rel=1e-9)
@@ -272,13 +272,13 @@ def test_late_records_are_not_weighed_where_pulses_are_late() -> None:
 
 
 def test_a_bias_without_rows_is_still_refused() -> None:
-    """Three rows at readings tell nothing: the line says what would do."""
+    """Two means of rows at readings tell nothing: the line says what would do."""
     samples = ceaseless(45).part(0, 45)
     priors = telemetry_priors()
     thrusters = priors.spacecraft.thruster_names("B")
     sampling = sampling_of(priors, thrusters, 44.0, "first_order")
     found = prepare([samples], 0.125, sampling.guard_s).found
-    with pytest.raises(InputError, match="all at readings of the counters, got 3"):
+    with pytest.raises(InputError, match="at readings of the counters, got 2 means over 32 s"):
         reduce_chunks(
             "e",
             "bias",

@@ -100,6 +100,49 @@ def test_squares_on_modes_are_those_of_simulated_errors() -> None:
     assert expected.sum() == pytest.approx(float(variance(over)), rel=0.02)
 
 
+def cosines(rows: int, count: int) -> Array:
+    """Orthonormal cosines (rows, 1 + count), the constant first."""
+    order, place = np.arange(count + 1), (np.arange(rows) + 0.5) / rows
+    waves = np.sqrt(2.0 / rows) * np.cos(np.pi * np.outer(place, order))
+    waves[:, 0] /= np.sqrt(2.0)
+    return waves
+
+
+@pytest.mark.parametrize("stray", [0.03, 0.05])
+def test_near_a_threshold_a_rounding_drifts(stray: float) -> None:
+    """Wheels that stray a little about a threshold, with noise of a twelfth of a step.
+
+    What is printed strays five times as far. Its error on the 30 slowest cosines has about the
+    square that is said, on the three slowest five times that of a rounding that only lasts.
+    """
+    rng, noise, rows, wheels = np.random.default_rng(8), 0.08, 1_024, 200
+    modes = cosines(rows, 30)
+    true = modes[:, 1:] @ (rng.standard_normal((30, wheels)) / np.arange(1, 31)[:, None])
+    true = 0.5 + stray * true / true.std(axis=0)
+    shown = np.round(true + noise * rng.standard_normal(true.shape))
+    actual = ((modes.T @ (shown - true)) ** 2)[1:].mean(axis=1)
+    on, over = wheel_squares(shown, 1.0, modes, 1)
+    lasting = coherent_shares(np.array([noise])).sum() * on.lasting[1:].mean(axis=1) / 12.0
+    said = on.seen[1:].mean(axis=1) + lasting
+    assert said.sum() == pytest.approx(actual.sum(), rel=0.7)
+    assert np.all(said[[0, 1, 4, 9, 19, 29]] > 0.8 * actual[[0, 1, 4, 9, 19, 29]])
+    scatter = np.mean([rests(own).variance.mean() for own in shown.T])
+    assert np.all(actual[:3] > 5.0 * (scatter + lasting[:3]))
+    assert over.seen.mean() > scatter * rows
+
+
+def test_a_wheel_that_shows_one_value_or_none_but_noise_does_not_drift() -> None:
+    """Where readings never change, or only by their noise, nothing is added but chance."""
+    rng, rows = np.random.default_rng(9), 1_024
+    modes = cosines(rows, 30)
+    still = np.tile([[3.0, 0.5]], (rows, 100))
+    shown = np.round(still + [0.0, 0.2] * 100 * rng.standard_normal(still.shape))
+    on, _ = wheel_squares(shown, 1.0, modes, 1)
+    scatter = np.array([rests(own).variance.mean() for own in shown.T])
+    assert on.seen[1:, ::2] == pytest.approx(np.full((30, 100), scatter[0]))
+    assert on.seen[1:, 1::2].mean() == pytest.approx(scatter[1::2].mean(), rel=0.3)
+
+
 def test_without_steps_noise_is_white() -> None:
     """No rounding: every row has the noise alone, on every mode."""
     rates = np.random.default_rng(5).standard_normal((50, 3))
