@@ -4,7 +4,8 @@ A wheel that passes one printed value after the other has a rounding that is ano
 white noise of Δ²/12 beside that of the measurement. While a wheel rests, the rounding is the same
 in all rows. How much a reading scatters then depends on where between two printed values the wheel
 is, which is not known, but the scatter itself is seen. So rows at rest have the variance that they
-show, and one lasting error on top (docs/topics/telemetry-likelihood.md §11).
+show, one lasting error on top, and where readings change the slow motion that they show
+(docs/topics/telemetry-likelihood.md §11).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class WheelSquares:
     """
 
     moving: Array  # (W,) rows in which it moves
-    seen: Array  # (W,) rad²/s², what rows at rest scatter
+    seen: Array  # (W,) rad²/s², what rows at rest scatter, and how they drift
     lasting: Array  # (W,) of a rounding that lasts, over that of a single row
 
     def __sub__(self, other: WheelSquares) -> WheelSquares:
@@ -204,7 +205,7 @@ def slow_motion(shown: Array, white: float) -> Array:
 
 
 def _drifts(levels: Array, found: Rests) -> Array:
-    """Slow motions (D, r) of printed levels (r,) in all stretches at rest, in steps."""
+    """:func:`slow_motion` (D, r) of printed levels (r,) in all stretches at rest, in steps."""
     drifts = [np.zeros((0, len(levels)))]
     for start, length in zip(found.starts.tolist(), found.lengths.tolist(), strict=True):
         own = slow_motion(levels[start : start + length], found.variance[start])
