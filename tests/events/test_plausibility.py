@@ -433,6 +433,42 @@ def test_attitudes_are_aligned_where_neighbours_know_nothing() -> None:
     assert late.misaligned(57.3 * np.eye(3)) > 2.0 * BY_CHANCE
 
 
+def fired_with_the_rows() -> tuple[Motion, Array]:
+    """Rows every second while wheels ramp, all pulses beginning with a row; and the wheels' drive.
+
+    Rates have noise of 2e-6 rad/s, attitudes of 1e-5 rad.
+    """
+    rng, rows = np.random.default_rng(21), 1_900
+    time_s = np.arange(float(rows))
+    ramp = np.select([time_s < 500, time_s < 1_400], [0.0, 1.0], 0.0)[:, None] * [1.0, -0.7, 0.5]
+    gained = 1.5e-5 * ramp
+    rate, turn, kick = np.zeros((rows, 3)), np.zeros((rows, 3)), 8e-5
+    for i in range(rows - 1):
+        fired = -kick * np.sign(rate[i]) * (np.abs(rate[i] + 0.02 * turn[i]) > 4e-5)
+        turn[i + 1] = turn[i] + rate[i] + fired + 0.5 * gained[i]
+        rate[i + 1] = rate[i] + fired + gained[i]
+    attitude = np.column_stack([0.5 * (turn + rng.normal(0.0, 1e-5, turn.shape)), np.ones(rows)])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    measured = rate + rng.normal(0.0, 2e-6, rate.shape)
+    return Motion(time_s, attitude, measured), np.cumsum(gained, axis=0)
+
+
+def test_pulses_that_begin_with_rows_are_no_factor_of_rates() -> None:
+    """The mean of two rates is off by half the fall between pulses, as long as wheels ramp.
+
+    With the wheels' drive that is no misfit; without, it is far beyond chance. A factor of two
+    stays one.
+    """
+    motion, drive = fired_with_the_rows()
+    plain, driven = turning_of(motion), turning_of(motion, drive)
+    assert plain is not None
+    assert driven is not None
+    chance = 18.0 + 4.0 * 6.0  # of 18 moments, four standard deviations
+    assert plain.misfit(np.eye(3)) > 2.0 * chance
+    assert driven.misfit(np.eye(3)) < chance
+    assert driven.misfit(2.0 * np.eye(3)) > 2.0 * chance
+
+
 def test_rows_between_equal_counters_are_used(honest: dict[str, Event]) -> None:
     """Counters every 10 s: quiet rows between count, the same however the chunks are cut."""
     chunk = honest["bias"][1]

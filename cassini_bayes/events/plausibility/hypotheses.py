@@ -40,6 +40,7 @@ from cassini_bayes.events.plausibility.verdict import (
     SUSPECT,
     Explanation,
 )
+from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 SILENT: Final = 1.5
 """Factor of misfits: without one axis of three, noise-free ones are two thirds as large."""
@@ -102,7 +103,17 @@ class Evidence:
     @cached_property
     def turning(self) -> Turning | None:
         """Turns against rates."""
-        return None if self.motion is None else turning_of(self.motion)
+        return None if self.motion is None else turning_of(self.motion, self._drive_rad_s)
+
+    @property
+    def _drive_rad_s(self) -> Array | None:
+        """Rates (n, 3) of the body by the wheels' momentum alone, where thrusters take it."""
+        rows, motion = self.rows, self.motion
+        if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
+            return None
+        momentum = RAD_S_PER_RPM * rows.wheel_rpm @ self.nominal.spins.T
+        given = -np.linalg.solve(self.nominal.inertia, momentum.T)
+        return np.stack([np.interp(motion.time_s, rows.time_s, own) for own in given], axis=1)
 
     @cached_property
     def momentum(self) -> Momentum | None:

@@ -51,6 +51,7 @@ class Turning:
     turned: Array  # Σ y zᵀ (3, 6)
     recorded: Array  # Σ x zᵀ (3, 6)
     quickened: Array  # Σ ẋ zᵀ (3, 6)
+    driven: Array  # Σ f zᵀ (3, 6), f what half an interval of the wheels' drive is, by step
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     steps: int
@@ -83,6 +84,7 @@ class Turning:
             gap = self.turned[axis] - recorded[axis]
             lean = GYRO_SD**2 * recorded.T @ recorded
             lean += np.outer(quickened[axis], quickened[axis])
+            lean += np.outer(self.driven[axis], self.driven[axis])
             # noise-free rates about one axis alone leave directions that nothing is known of
             covariance = variance[axis] * self.instruments + lean
             total += float(gap @ np.linalg.lstsq(covariance, gap)[0])
@@ -133,8 +135,13 @@ class Turning:
         return len(y) * float(np.log(largest))
 
 
-def turning_of(motion: Motion) -> Turning | None:
+def turning_of(motion: Motion, drive_rad_s: Array | None = None) -> Turning | None:
     """The moments; None where there are too few steps.
+
+    Where thrusters take what wheels give, the body's rate falls between pulses and jumps with them.
+    If pulses begin with the rows the mean of two rates is off by half an interval of that fall, for
+    as long as the wheels ramp: so much it may lean. ``drive_rad_s`` (n, 3) are the rates that the
+    body would have by the wheels alone; without, nothing fires.
 
     Steps join intervals up to :data:`STEP_S`: booms that swing faster than that are none of
     the body's turning, and rates sampled at their swing's ends would look too large or too small.
@@ -155,13 +162,15 @@ def turning_of(motion: Motion) -> Turning | None:
     mean = joined(between * intervals_s[:, None]) / step_s
     turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
+    given = np.zeros_like(rates) if drive_rad_s is None else drive_rad_s
+    half = 0.5 * joined(intervals_s[:, None] * np.diff(given, axis=0)) / step_s
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
     after = rates[1 : used + 1].reshape(count, stride, 3).mean(axis=1)
     around = np.concatenate([before[:-2] + after[2:], after[2:] - before[:-2]], axis=1)
     good = (step_s <= LONGEST_STEP * np.median(step_s))[1:-1, 0]
-    inner_steps = (turned[1:-1], mean[1:-1], quick[1:-1], around)
-    y, x, dx, z = (v[good] - v[good].mean(axis=0) for v in inner_steps)
+    inner_steps = (turned[1:-1], mean[1:-1], quick[1:-1], half[1:-1], around)
+    y, x, dx, f, z = (v[good] - v[good].mean(axis=0) for v in inner_steps)
     scale = np.abs(z).max(axis=0)
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero
@@ -174,4 +183,4 @@ def turning_of(motion: Motion) -> Turning | None:
     apart = each[0] - each[1]
     bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, inner, squares, len(y) - 2, each, bias)
+    return Turning(y.T @ z, x.T @ z, dx.T @ z, f.T @ z, inner, squares, len(y) - 2, each, bias)
