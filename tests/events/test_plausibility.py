@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
@@ -28,6 +28,7 @@ from cassini_bayes.events.plausibility import (
     check_telemetry,
     check_totals,
     content_of_totals,
+    hypotheses,
     momentum,
     refuse_duplicates,
 )
@@ -35,9 +36,11 @@ from cassini_bayes.events.plausibility.cells import CellSearch
 from cassini_bayes.events.plausibility.hypotheses import (
     LIKELIER,
     Evidence,
+    Likelier,
     _is_sharp,
     _of_shifts,
     by_evidence,
+    likeliest,
     with_scaled_rates,
 )
 from cassini_bayes.events.plausibility.momentum import Correction
@@ -215,6 +218,28 @@ def test_a_small_error_hides_in_any_torque_and_any_bias(
     assert found > 5.0 * LIKELIER
     assert any_torque < 0.5 * found
     assert gain(wrong) < min(any_torque, LIKELIER)
+
+
+def test_where_thrusters_fire_what_is_likelier_must_close_the_balance_better(
+    honest: dict[str, Event], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step of a wheel, which evidence prefers, is no mistake of an honest bias; in slews it is.
+
+    (There the evidence alone finds 50 rpm, as the misfit lets any torque wander.)
+    """
+
+    def preferred(given: Evidence, wheels: Sequence[int], _thrusters: Sequence[str]) -> list[Any]:
+        assert given.rows is not None
+        found = of_wheels(given.as_recorded, given.nominal, wheels, given.rows)
+        return [
+            Likelier(next(each for each in found if each.correction.wheel_jump), 2.0 * LIKELIER)
+        ]
+
+    monkeypatch.setattr(hypotheses, "by_evidence", preferred)
+    for kind, mistakes in (("bias", []), ("slew", ["wheel-offset"])):
+        event, chunk = honest[kind]
+        found = likeliest(evidence_of(event, chunk), event.wheels, event.thrusters)
+        assert [each.mistake for each in found] == mistakes
 
 
 def test_wheels_beside_a_body_at_rest_have_no_order(

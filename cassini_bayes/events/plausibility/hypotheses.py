@@ -305,9 +305,11 @@ def likeliest(
         for one in _scored(evidence, undone)
     ]
     # what is likelier must also close the balance: quick firing leaves more than any mistake here
-    most = SUSPECT
-    if not thrusters:
-        most = max(SUSPECT, min(evidence.misfit() - LIKELIER, 2.0 * SUSPECT))
+    recorded = evidence.misfit()
+    if thrusters:
+        most = min(SUSPECT, recorded - 0.5 * LIKELIER)
+    else:
+        most = max(SUSPECT, min(recorded - LIKELIER, 2.0 * SUSPECT))
     return tuple(each for each in explained if each.left <= most)[:MOST_NAMED]
 
 
