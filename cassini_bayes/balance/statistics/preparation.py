@@ -36,7 +36,8 @@ QUANTILES: Final = 12  # that stand for all gaps
 WIDTHS: Final = 48  # that stand for all widths
 # Rows between firings per row at a reading: with fewer, all that are at readings tell more.
 LEAST_QUIET: Final = 0.1
-# Controllers answer what is late; within a block of this length they have done so.
+# Thrusters answer what is late, in rows; in means over so long a block little of it is left beside
+# the body's slow motion (docs/results/likelihood-experiments.md).
 BLOCK_S: Final = 32.0
 # Of pulses that may last longer than a control cycle, where readings shall say which have just
 # begun: a twentieth (docs/results/likelihood-experiments.md). With an eighth they seldom do.
