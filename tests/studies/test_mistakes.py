@@ -30,6 +30,7 @@ from cassini_bayes.studies.mistakes.flights import fly, with_events
 from cassini_bayes.studies.mistakes.kinds import TELEMETRY, TOTALS, RowChange, cell_times
 from cassini_bayes.studies.mistakes.oracle import (
     TELLS,
+    Answer,
     Physics,
     answer_of,
     physics_of,
@@ -119,6 +120,16 @@ def test_the_oracle_sees_what_matters() -> None:
     answer = answer_of(rows, priors)
     assert answer is not None
     assert answer.moved(answer) == 0.0
+
+
+def test_answers_are_compared_by_what_both_have() -> None:
+    """Counters that a mistake stops leave rows without late pulses, and no factor of theirs."""
+    late = Answer(
+        {"thrust": 0.75, "late_pulse_factor": 1.0}, {"thrust": 0.01, "late_pulse_factor": 0.1}
+    )
+    settled = Answer({"thrust": 0.78}, {"thrust": 0.02})
+    assert late.moved(settled) == pytest.approx(3.0)
+    assert settled.moved(late) == pytest.approx(1.5)
 
 
 def test_one_effect_is_physics_to_the_oracle() -> None:

@@ -68,8 +68,12 @@ class Answer:
     sd: Mapping[str, float]
 
     def moved(self, other: Answer) -> float:
-        """The largest shift of a scalar to another answer, in standard deviations of this one."""
-        return max(abs(other.mean[name] - self.mean[name]) / sd for name, sd in self.sd.items())
+        """The largest shift of a scalar to another answer, in standard deviations of this one.
+
+        Of scalars that both have: a mistake in counters may leave rows without late pulses.
+        """
+        both = ((name, sd) for name, sd in self.sd.items() if name in other.mean)
+        return max(abs(other.mean[name] - self.mean[name]) / sd for name, sd in both)
 
 
 @dataclass(frozen=True)
