@@ -167,24 +167,29 @@ def wheel_squares(
         return WheelSquares(*(np.tile(s, (modes, 1)) for s in (none + 1.0, none, none))), everywhere
     square = on_modes**2
     on, over = np.zeros((3, modes, wheels)), np.zeros((3, wheels))
-    for j, own in enumerate(rates.T):
-        found = rests(np.round(own / step))
+    for j, levels in enumerate(np.round(rates.T / step)):
+        found = rests(levels)
         lengths = found.lengths
         together = np.add.reduceat(on_modes, found.starts) ** 2
         at_rest = np.where(lengths > 1, stride**2, 0.0)
         by_row = np.stack([found.moving.astype(np.float64), step**2 * found.variance])
         on[:2, :, j] = stride * by_row @ square
         on[2, :, j] = at_rest @ together
-        drifts = step * _drifts(np.round(own / step), found)
-        on[1, :, j] += stride**2 * ((drifts @ on_modes) ** 2).sum(axis=0)
         over[:2, j] = stride * by_row.sum(axis=1)
-        over[1, j] += stride * (drifts**2).sum()
         over[2, j] = stride * lengths[lengths > 1].sum()
+        for stretch in np.flatnonzero(lengths >= LEAST_DRIFT):
+            start = found.starts[stretch]
+            part = slice(start, start + lengths[stretch])
+            drifts = step * _slow_motion(levels[part], found.variance[start])
+            on[1, :, j] += stride**2 * ((drifts @ on_modes[part]) ** 2).sum(axis=0)
+            over[1, j] += stride * (drifts**2).sum()
     return WheelSquares(*on), WheelSquares(*over)
 
 
-def slow_motion(shown: Array, white: float) -> Array:
+def _slow_motion(shown: Array, white: float) -> Array:
     """What a wheel at rest seems to do slowly (D, n), from what is printed (n,), in its unit.
+
+    ``shown`` has :data:`LEAST_DRIFT` rows at least.
 
     Near the threshold of two printed values the mean of what is printed goes from one to the other
     within the noise, which may be much less than a step. So what looks like motion is mostly
@@ -192,24 +197,12 @@ def slow_motion(shown: Array, white: float) -> Array:
     (one standard deviation), by octave.
     """
     n = len(shown)
-    count = n // LEAST_DRIFT
-    if count == 0 or np.ptp(shown) == 0.0:
+    if np.ptp(shown) == 0.0:
         return np.zeros((0, n))
-    order, place = np.arange(1, count + 1), (np.arange(n) + 0.5) / n
+    order, place = np.arange(1, n // LEAST_DRIFT + 1), (np.arange(n) + 0.5) / n
     waves = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(order, place))
     octave = np.frexp(order)[1] - 1
     cosines = np.bincount(octave)
     square = np.bincount(octave, (waves @ shown) ** 2) / cosines
     excess = square - white * (1.0 + np.sqrt(2.0 / cosines))
     return np.asarray(np.sqrt(np.maximum(excess, 0.0))[octave, None] * waves)
-
-
-def _drifts(levels: Array, found: Rests) -> Array:
-    """:func:`slow_motion` (D, r) of printed levels (r,) in all stretches at rest, in steps."""
-    drifts = [np.zeros((0, len(levels)))]
-    for start, length in zip(found.starts.tolist(), found.lengths.tolist(), strict=True):
-        own = slow_motion(levels[start : start + length], found.variance[start])
-        slowly = np.zeros((len(own), len(levels)))
-        slowly[:, start : start + length] = own
-        drifts.append(slowly)
-    return np.concatenate(drifts)

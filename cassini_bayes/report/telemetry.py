@@ -10,6 +10,7 @@ from typing import Final
 import pandas as pd
 from markupsafe import Markup
 
+from cassini_bayes.balance.statistics import BLOCK_S
 from cassini_bayes.report.cells import (
     Cell,
     Table,
@@ -169,9 +170,9 @@ def telemetry(review: Review) -> Iterator[Section]:
             Paragraph(
                 "The balance of every row that enters the likelihood, at the posterior. Rows taken "
                 "while a pulse was being delivered are left out by design. Where hardly any others "
-                "are, rows are means over 32 s, and what is late in them is noise. The noise band "
-                "holds white channel noise and the torque noise of the fit; 90 % of rows should "
-                "lie inside."
+                f"are, rows are means over {BLOCK_S:g} s, and what is late in them is noise. The "
+                "noise band holds white channel noise and the torque noise of the fit; 90 % of "
+                "rows should lie inside."
             ),
             TableBlock(event_table(review)),
             *mends,

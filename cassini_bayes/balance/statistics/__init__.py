@@ -11,6 +11,7 @@ from cassini_bayes.balance.statistics.columns import (
     layout_of,
     settle,
 )
+from cassini_bayes.balance.statistics.preparation import BLOCK_S
 from cassini_bayes.balance.statistics.reduction import (
     EventStatistics,
     load_statistics,
@@ -20,6 +21,7 @@ from cassini_bayes.balance.statistics.reduction import (
 from cassini_bayes.balance.statistics.rows import Samples
 
 __all__ = [
+    "BLOCK_S",
     "Carry",
     "EventStatistics",
     "ExtraColumn",

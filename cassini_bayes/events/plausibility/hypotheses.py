@@ -112,8 +112,8 @@ class Evidence:
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return None
         momentum = RAD_S_PER_RPM * rows.wheel_rpm @ self.nominal.spins.T
-        given = -np.linalg.solve(self.nominal.inertia, momentum.T)
-        return np.stack([np.interp(motion.time_s, rows.time_s, own) for own in given], axis=1)
+        given = np.linalg.solve(self.nominal.inertia, momentum.T).T
+        return -_between(motion.time_s, rows.time_s, np.asarray(given, dtype=np.float64))
 
     @cached_property
     def momentum(self) -> Momentum | None:
