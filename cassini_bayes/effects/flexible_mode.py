@@ -40,11 +40,15 @@ from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import Firings
 from cassini_bayes.effects.line_shapes import (
+    DAMPED,
+    NONE,
+    Dampings,
     Line,
     Posterior,
     Shapes,
     draw_shapes,
     posterior,
+    shapes_of_cells,
     shapes_over_dampings,
 )
 from cassini_bayes.effects.wording import Clause
@@ -187,7 +191,7 @@ def report(values: Values, setting: Setting) -> Values:
 
 
 def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
-    """Sizes (n,) over all dampings (:class:`.Shapes`), as :func:`report` has them."""
+    """Sizes (n,) over all lines (:class:`.Shapes`), as :func:`report` has them."""
     line = _line(setting)
     if line.shapes is None:
         return {}
@@ -202,7 +206,7 @@ def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
 
 def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: Array) -> Values:
     """Sizes by those of the line: see :func:`report`."""
-    shown = line.measured * np.sinc(line.frequency_hz * line.step_s) ** 2
+    shown = line.measured * np.sinc(frequency * line.step_s) ** 2
     fraction = values["inertia_fraction"] / (1.0 + (1.0 - shown) * values["inertia_fraction"])
     free = np.sqrt(1.0 - shown * fraction)
     return {
@@ -320,9 +324,8 @@ def find_oscillation(
     if len(frequencies) == 0:
         return None
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
-    scores = np.maximum.reduce(
-        [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
-    )
+    looks = [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
+    peaks = _peaks(np.maximum.reduce([look.log_evidence for look in looks]))
     factor = cho_factor(linear.gram())
     views = [_views(rows, linear, axis) for axis in range(3)]
 
@@ -333,15 +336,14 @@ def find_oscillation(
     def score(line: Line) -> float:
         return float(posterior_of(line).log_evidence)
 
-    fits = [
-        (float(frequencies[f] + shift / span), damping, axis)
-        for f, axis in _peaks(scores)
-        for shift in FINER
+    finer = {
+        line: posterior_of(line)
+        for f, axis in peaks
         for damping in COARSE_DAMPINGS
-    ]
-    best = list(
-        dict.fromkeys((frequency, axis) for frequency, _, axis in sorted(fits, key=score)[::-1])
-    )[:PEAKS]
+        for line in ((float(frequencies[f] + s / span), damping, axis) for s in FINER)
+    }
+    ranked = sorted(finer, key=lambda line: float(finer[line].log_evidence))[::-1]
+    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in ranked))[:PEAKS]
     fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(fits, key=score)
 
@@ -353,14 +355,54 @@ def find_oscillation(
     options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
     bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
     result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
-    looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
+    log_looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
     frequency += float(result.x[0]) / span
     step = float(np.median([motion.step_s for motion in motions]))
     damping = float(result.x[1] ** 2)
     units = np.array([*scales[:1], *scales])
-    shapes = shapes_over_dampings(posterior_of, (frequency, damping, axis), span, units)
+    found = (frequency, damping, axis)
+    of_found = shapes_over_dampings(posterior_of, found, span, units)
+    others = _other_lines(found, finer, (frequencies, looks, peaks), units)
+    shapes = Shapes.joined([of_found, *others])
     gain = -float(result.fun)
-    return Oscillation(frequency, damping, axis, looks, gain, span, step, shapes=shapes)
+    return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
+
+
+def _other_lines(
+    found: Line,
+    finer: Mapping[Line, Posterior],
+    coarse: tuple[Array, Sequence[Posterior], Sequence[tuple[int, int]]],
+    scales: Array,
+) -> list[Shapes]:
+    """All lines of the search but the one found: those about the peaks, and the rest.
+
+    ``coarse`` is the first look: frequencies (f,), the posterior (f, 3) at every damping, and the
+    places of its peaks. Beside a peak and within two widths of the line found is no other line.
+    """
+    frequencies, looks, peaks = coarse
+    spacing = frequencies[0] / LEAST_CYCLES
+    width = 2.0 * float(np.hypot(spacing, found[1] * found[0]))
+    own = np.abs(frequencies - found[0]) < width
+    is_rest = np.ones((len(frequencies), 3), dtype=bool)
+    is_rest[own, found[2]] = False
+    for f, axis in peaks:
+        is_rest[max(f - 1, 0) : f + 2, axis] = False
+    at = np.broadcast_to(frequencies[:, None], is_rest.shape)[is_rest]
+    shapes = []
+    for damping, look in zip(COARSE_DAMPINGS, looks, strict=True):
+        rest = Posterior(*(values[is_rest] for values in look))
+        of_all = Dampings(damping, *DAMPED) if damping > 0.0 else NONE
+        shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales))
+        lines = [
+            line
+            for line in finer
+            if line[1] == damping and (line[2] != found[2] or abs(line[0] - found[0]) > width)
+        ]
+        if lines:
+            near = Posterior(*(np.array(own) for own in zip(*map(finer.get, lines), strict=True)))
+            cells = np.array([line[0] for line in lines]), of_all, spacing * (FINER[1] - FINER[0])
+            shapes.append(shapes_of_cells(near, *cells, scales))
+    return shapes
 
 
 def _coarse(
@@ -369,8 +411,8 @@ def _coarse(
     frequencies: Array,
     damping: float,
     size: Array,
-) -> Array:
-    """Log evidence (f, 3) of every frequency about every axis, columns as they are."""
+) -> Posterior:
+    """Posterior (f, 3) of every frequency about every axis, columns as they are."""
     gram = np.zeros((len(frequencies), 3, 3, 3))
     projection = np.zeros((len(frequencies), 3, 3))
     for event, motion in zip(rows, motions, strict=True):
@@ -392,7 +434,7 @@ def _coarse(
             places = np.array([0, 1, 2 + axis])
             gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
             projection[:, axis] += along[:, places, axis]
-    return posterior(gram, projection, size).log_evidence
+    return posterior(gram, projection, size)
 
 
 def _peaks(scores: Array) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Sizes of an oscillation over its dampings: posterior of one line, and of lines alike.
+"""Sizes of an oscillation over all lines that it may be: posterior of one, and of many.
 
 A line that dies fast and an appendage that answers little are much alike, so that a fit near one
 damping says too little of both. About a baseline's mode a line's sizes s (cosine, sine, share of
@@ -7,17 +7,18 @@ left, both with what the baseline takes away taken off,
 
     s ~ N(C S Aᵀy, C),  C = (S G S + 1)⁻¹,  log Z = bᵀ C b / 2 + log det C / 2,  b = S Aᵀy,
 
-in units of S, and the share is not below zero (docs/topics/criticism.md §2).
+in units of S, and the share is not below zero (docs/topics/criticism.md §2). Lines share the
+probability by Z, the prior of their damping, and the frequencies that they stand for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr, ndtri
+from scipy.special import log_ndtr, ndtr, ndtri, softmax
 
 from cassini_bayes.computing.arrays import Array
 
@@ -25,9 +26,11 @@ Line = tuple[float, float, int]
 """Frequency (Hz), damping, and axis."""
 NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
 NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
-"""Dampings that sizes are averaged over, and those about the best."""
+"""Dampings that sizes are averaged over, and those about the best; frequencies about theirs."""
 UNDAMPED: Final = 0.2  # prior probability of none, as one of five that are looked at
 DAMPED: Final = (1e-5, 5e-2)  # and of the others, uniform in their logarithm
+LEAST_LOG_SHARE: Final = -14.0
+"""Of a line's weight in that of the most probable one: ten thousand as small are a hundredth."""
 LEAST_BEND: Final = 0.05  # nats: a frequency is known to four steps at least, or it is another line
 FREQUENCY_STEP: Final = 0.3  # of a line's width, for its curvature by frequency: judgement
 SPAN_STEP: Final = 0.05
@@ -47,18 +50,28 @@ class Posterior(NamedTuple):
 
 @dataclass(frozen=True)
 class Shapes:
-    """Posterior of a line over K dampings, each with the frequency that is best for it.
+    """Posterior over K lines, each of which stands for others of its damping and frequency.
 
-    ``mean`` (K, 3) and ``covariance`` (K, 3, 3) are those of cosine, sine (rad/s) and share of the
-    inertia before the share's bound at zero, ``weight`` (K,) the probabilities.
+    ``log_weight`` (K,) are logs of their probabilities but for a constant, ``damping`` (K, 2) the
+    bounds of those that they stand for, uniform in the logarithm. ``mean`` (K, 3) and
+    ``covariance`` (K, 3, 3) are those of cosine, sine (rad/s) and share of the inertia before the
+    share's bound at zero.
     """
 
-    weight: Array
+    log_weight: Array
     damping: Array
     frequency_hz: Array
     frequency_sd_hz: Array
     mean: Array
     covariance: Array
+
+    @staticmethod
+    def joined(parts: Sequence[Shapes]) -> Shapes:
+        """All lines of several, without those of a millionth of the most probable one."""
+        own = [[getattr(part, field.name) for part in parts] for field in fields(Shapes)]
+        log_weight, *others = (np.concatenate(values) for values in own)
+        kept = log_weight > log_weight.max() + LEAST_LOG_SHARE
+        return Shapes(log_weight[kept], *(values[kept] for values in others))
 
 
 def posterior(gram: Array, projection: Array, size: Array) -> Posterior:
@@ -75,56 +88,87 @@ def posterior(gram: Array, projection: Array, size: Array) -> Posterior:
     return Posterior(np.asarray(evidence), mean, covariance)
 
 
+class Dampings(NamedTuple):
+    """Dampings from low to high, uniform in the logarithm, of which one stands for all."""
+
+    one: float
+    low: float
+    high: float
+
+    @property
+    def log_prior(self) -> float:
+        """Log of their prior probability."""
+        if self.high == 0.0:
+            return float(np.log(UNDAMPED))
+        share = np.log(self.high / self.low) / np.log(DAMPED[1] / DAMPED[0])
+        return float(np.log((1.0 - UNDAMPED) * share))
+
+
+def shapes_of_cells(
+    found: Posterior, frequency_hz: Array, damping: Dampings, width_hz: float, scales: Array
+) -> Shapes:
+    """Lines (K,) that stand for all within ``width_hz`` about them.
+
+    ``scales`` (3,) are the priors' of the sizes.
+    """
+    count = len(frequency_hz)
+    return Shapes(
+        found.log_evidence + damping.log_prior + np.log(width_hz),
+        np.tile(damping[1:], (count, 1)),
+        frequency_hz,
+        np.full(count, width_hz / np.sqrt(12.0)),
+        scales * found.mean,
+        found.covariance * np.outer(scales, scales),
+    )
+
+
 def shapes_over_dampings(
     posterior_of: Callable[[Line], Posterior],
     line: Line,
     span_s: float,
     scales: Array,
 ) -> Shapes:
-    """A line found at other dampings (:data:`NODES`), for each with its best frequency.
+    """A line found at other dampings (:data:`NODES`), for each at five frequencies.
 
     ``span_s`` is that of the longest event, ``scales`` (3,) are the priors' of the sizes.
     """
 
-    def score(other: Line) -> float:
-        return float(posterior_of(other).log_evidence)
+    def peak(middle: float, step: float, damping: float) -> tuple[float, float]:
+        shifted = ((middle + s, damping, axis) for s in (-step, 0.0, step))
+        shift, sd = _peak([float(posterior_of(other).log_evidence) for other in shifted], step)
+        return middle + shift, sd
 
     frequency_hz, found, axis = line
     step = SPAN_STEP / (2.0 * np.pi * frequency_hz * span_s)
     middle = max(found, step)
-    _, sd = _peak([score((frequency_hz, middle + d, axis)) for d in (-step, 0.0, step)], step)
+    beside = ((frequency_hz, middle + d, axis) for d in (-step, 0.0, step))
+    _, sd = _peak([float(posterior_of(other).log_evidence) for other in beside], step)
     near = found + sd * np.array(NEAR_BEST)
     near = near[(near > DAMPED[0]) & (near < DAMPED[1])]
-    dampings = np.concatenate([[0.0], np.unique(np.concatenate([NODES, near]))])
-    low, high = _cells(dampings)
-    damped = (1.0 - UNDAMPED) * np.log(high[1:] / low[1:]) / np.log(DAMPED[1] / DAMPED[0])
-    prior = np.concatenate([[UNDAMPED], damped])
-    rows = []
-    for damping in dampings:
-        step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping * frequency_hz))
-        shifts = (frequency_hz - step, frequency_hz, frequency_hz + step)
-        shift, sd = _peak([score((f, damping, axis)) for f in shifts], step)
-        best = frequency_hz + shift
-        rows.append((best, sd, *posterior_of((best, damping, axis))))
-    frequency, frequency_sd, evidence, mean, covariance = (
-        np.array(own) for own in zip(*rows, strict=True)
-    )
-    weight = prior * np.exp(evidence - evidence.max())
-    return Shapes(
-        weight / weight.sum(),
-        dampings,
-        frequency,
-        frequency_sd,
-        scales * mean,
-        covariance * np.outer(scales, scales),
-    )
+    cells = []
+    for damping in _cells(np.unique(np.concatenate([NODES, near]))):
+        step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping.one * frequency_hz))
+        best, sd = peak(frequency_hz, step, damping.one)
+        evidence = float(posterior_of((best, damping.one, axis)).log_evidence)
+        cells.append((evidence + damping.log_prior + np.log(sd), damping, best, sd))
+    most = max(weight for weight, *_ in cells)
+    shapes = []
+    for weight, damping, best, sd in cells:
+        if weight < most + LEAST_LOG_SHARE:
+            continue
+        best, sd = peak(best, sd, damping.one)  # a wide parabola leans where a line is strong
+        frequencies = best + sd * np.array(NEAR_BEST)
+        each = [posterior_of((float(f), damping.one, axis)) for f in frequencies]
+        of_all = Posterior(*(np.array(own) for own in zip(*each, strict=True)))
+        shapes.append(shapes_of_cells(of_all, frequencies, damping, sd, scales))
+    return Shapes.joined(shapes)
 
 
 def draw_shapes(
     shapes: Shapes, rng: np.random.Generator, draws: int
 ) -> tuple[Array, Array, Array, Array]:
     """Draws: cosine and sine (n, 2), rad/s; share, frequency (Hz) and damping, (n,) each."""
-    place = rng.choice(len(shapes.weight), draws, p=shapes.weight)
+    place = rng.choice(len(shapes.log_weight), draws, p=softmax(shapes.log_weight))
     mean, covariance = shapes.mean[place], shapes.covariance[place]
     sd = np.sqrt(covariance[:, 2, 2])
     below = ndtr(-mean[:, 2] / sd)
@@ -141,8 +185,10 @@ def draw_shapes(
     swing = swing + (factors @ rng.standard_normal((draws, 2, 1)))[..., 0]
     noise = rng.standard_normal(draws)
     frequency = shapes.frequency_hz[place] + shapes.frequency_sd_hz[place] * noise
-    low, high = _cells(shapes.damping)
-    return swing, share, frequency, rng.uniform(low[place], high[place])
+    low, high = shapes.damping[place].T
+    with np.errstate(divide="ignore", invalid="ignore"):  # no damping stands for itself
+        damping = np.where(low > 0.0, low * (high / low) ** rng.uniform(size=draws), 0.0)
+    return swing, share, frequency, damping
 
 
 def _peak(values: Sequence[float], step: float) -> tuple[float, float]:
@@ -153,7 +199,11 @@ def _peak(values: Sequence[float], step: float) -> tuple[float, float]:
     return shift, step / float(np.sqrt(bend))
 
 
-def _cells(damping: Array) -> tuple[Array, Array]:
-    """Bounds (K,) of what dampings stand for: none for itself, others half-way to the next."""
-    middle = 0.5 * (damping[2:] + damping[1:-1])
-    return np.concatenate([[0.0, DAMPED[0]], middle]), np.concatenate([[0.0], middle, DAMPED[1:]])
+def _cells(dampings: Array) -> list[Dampings]:
+    """What dampings (K,) above zero stand for, half-way to the next, and none for itself."""
+    bounds = np.concatenate([DAMPED[:1], 0.5 * (dampings[1:] + dampings[:-1]), DAMPED[1:]])
+    some = zip(dampings.tolist(), bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
+    return [NONE, *(Dampings(*own) for own in some)]
+
+
+NONE: Final = Dampings(0.0, 0.0, 0.0)
