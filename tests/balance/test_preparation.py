@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cassini_bayes.balance.statistics.counters import expected_on_times
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
@@ -48,6 +49,16 @@ def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
     assert found == pytest.approx(expected, abs=1e-3)
     company = on_time + 0.01 * np.arange(len(on_time))[:, None]
     assert close_gaps(single_widths(company, company, pulses), 0.001, CYCLE_S) == ()
+
+
+def test_no_width_is_below_zero() -> None:
+    """Pulses of 5 and 200 ms on steps of 0.1 s: what is expected of some of them is, by itself."""
+    widths = np.random.default_rng(1).choice([0.005, 0.2], 400)
+    on_time, pulses = counted(widths)
+    shown = 0.1 * np.round(on_time / 0.1)
+    expected = expected_on_times(shown, pulses, 0.1, CYCLE_S).on_time_s
+    assert np.diff(expected, axis=0).min() < 0.0
+    assert single_widths(expected, shown, pulses).min() == 0.0
 
 
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:

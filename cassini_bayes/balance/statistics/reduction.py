@@ -327,6 +327,7 @@ def reduce_chunks(
         Fewer than five rows can be used, or a counter's steps are longer than the pulses.
     """
     prepared = prepared or Preparation()
+    _require_readable(event_id, layout, prepared.rounding)
     sampling = replace(
         sampling,
         widths_s=prepared.widths_s,
@@ -361,7 +362,6 @@ def reduce_chunks(
         )
     averaged = at_readings / used if sampling.block_s > 0.0 else 1.0
     gram, places = _by_axes(inner.columns, layout)
-    _require_readable(event_id, layout, prepared.rounding)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
