@@ -33,6 +33,10 @@ class ToyModel:
     blind: bool
 
     @property
+    def starts(self) -> Array:
+        return np.zeros((1, self.space.dimension))
+
+    @property
     def collapsed(self) -> tuple[str, ...]:
         return ()
 

@@ -46,7 +46,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import innovations
-from cassini_bayes.diagnosis.modes import Mode, find_mode, mode_from
+from cassini_bayes.diagnosis.modes import Mode, find_mode, highest_mode, mode_from
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
@@ -153,8 +153,8 @@ class BalanceCase(Case[Hypothesis]):
         events = self.events
         full = none_hypothesis(events)
         none = compact(full)
-        at_centre = partial(find_mode, none.log_density, none.dimension)
-        (base,) = workers.results("", [at_centre], Mode)
+        at_starts = partial(highest_mode, none.log_density, none.model.starts)
+        (base,) = workers.results("", [at_starts], Mode)
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]

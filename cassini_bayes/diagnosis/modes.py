@@ -153,6 +153,12 @@ def find_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mo
     return mode_near(log_density, maximise(log_density, first, axes, FIRST_STEPS), axes)
 
 
+def highest_mode(log_density: LogDensity, starts: Array) -> Mode:
+    """The mode of most evidence of those that are found from points (s, d)."""
+    modes = (find_mode(log_density, len(start), start) for start in starts)
+    return max(modes, key=lambda own: own.log_evidence)
+
+
 def mode_at(log_density: LogDensity, point: Array, factor: Array) -> Mode:
     """A point (d,) with its Laplace factor (d, d) as a mode."""
     return Mode(point, factor, float(log_density(point[None])[0]) + volume(factor))

@@ -44,6 +44,7 @@ Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
 _ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
+_TAIL_STARTS: Final = (0.0, -2.0, 2.0)  # of a search, in the prior's standard deviations
 _FAR: Final = 30.0  # standard normals: beyond it quantiles overflow
 
 
@@ -123,6 +124,21 @@ class Model(Shared):
         levels, departures = prior.shared.shape[1], prior.departures.shape[1]
         events = ((event.fires, event.nuisances) for event in self.events)
         return Unknowns.of(self.space.dimension, levels, departures, events)
+
+    @property
+    def starts(self) -> Array:
+        """Points (s, d) at which searches for the mode begin: the centre of the prior, and others.
+
+        Where rows have late pulses there may be two modes, long tails that are late by much more
+        than tails are, and short ones: from the centre alone a search ended 250 nats below the
+        other one (τ_fall 60 ms for 12 ms).
+        """
+        late = any(term.event.statistics.counters.has_late_pulses for term in self.telemetry)
+        if not late or "tau_fall_s" not in self.space.names:
+            return np.zeros((1, self.space.dimension))
+        starts = np.zeros((len(_TAIL_STARTS), self.space.dimension))
+        starts[:, self.space.names.index("tau_fall_s")] = _TAIL_STARTS
+        return starts
 
     def points(self, z: Array) -> Points:
         """Every parameter the physics may ask for at walked coordinates z (n, d)."""

@@ -24,7 +24,7 @@ from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.fitting import collapsed_size
 from cassini_bayes.results.sensitivity import conflicts
 from cassini_bayes.sampling.ensembles import SamplerSettings
-from cassini_bayes.sampling.warmstart import find_mode
+from cassini_bayes.sampling.warmstart import highest_mode
 
 TYPICAL_STEPS: Final = (200, 1_000)
 """Steps of an ensemble after which the shipped runs met the stop rule: the first check, and five
@@ -161,7 +161,7 @@ def check(
     read = read_model(events, priors, *reading)
     model = read.model
     seen = observability(model)
-    mode = find_mode(partial(log_posterior, model), np.zeros(model.space.dimension))
+    mode = highest_mode(partial(log_posterior, model), model.starts)
     return CheckResult(
         model=model,
         rows=pd.DataFrame([_row(event) for event in read.events]),

@@ -205,7 +205,7 @@ def _sampled(
 
     Also what the stop rule drew back last.
     """
-    warm = _warm_start(density_of, len(model.space.names), settings.seed, store)
+    warm = _warm_start(density_of, model.starts, settings.seed, store)
     log(
         f"warm start: log evidence {warm.draws.log_evidence:.2f} ± {warm.draws.log_evidence_se:.2f}"
         f", Pareto k̂ {warm.draws.pareto_k:.2f}, efficiency {warm.draws.efficiency:.0%}"
@@ -268,14 +268,15 @@ def collapsed_size(model: Model) -> int:
 
 
 def _warm_start(
-    density_of: LogDensity, dimension: int, seed: int, store: CheckpointStore | None
+    density_of: LogDensity, starts: Array, seed: int, store: CheckpointStore | None
 ) -> WarmStart:
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
     if stored is not None:
         kept: WarmStart = value_of(WarmStart, stored)
         return kept
-    warm = warm_start(density_of, dimension, _stream(seed, _WARM_START))
+    rng = _stream(seed, _WARM_START)
+    warm = warm_start(density_of, starts.shape[1], rng, starts=starts)
     if store is not None:
         store.save("warmstart", arrays_of(warm))
     return warm

@@ -242,17 +242,28 @@ def pareto_k(log_weights: Array) -> float:
     return float(shape)
 
 
+def highest_mode(log_density: LogDensity, starts: Array) -> Array:
+    """The highest of the maxima (d,) that searches from points (s, d) find."""
+    modes = np.stack([find_mode(log_density, start) for start in starts])
+    return np.asarray(modes[int(log_density(modes).argmax())])
+
+
 def warm_start(
     log_density: LogDensity,
     d: int,
     rng: np.random.Generator,
     *,
+    starts: Array | None = None,
     dof: float = PROPOSAL_DOF,
     pilots: int = 2,
     draws: int = 4_000,
 ) -> WarmStart:
-    """Mode → Laplace → refinement of the proposal by its own importance draws → evidence."""
-    mode, factor = laplace(log_density, find_mode(log_density, np.zeros(d)))
+    """Mode → Laplace → refinement of the proposal by its own importance draws → evidence.
+
+    The mode is the highest that is found from points ``starts`` (s, d), by default from zero.
+    """
+    first = np.zeros((1, d)) if starts is None else starts
+    mode, factor = laplace(log_density, highest_mode(log_density, first))
     log_det = 2.0 * np.log(np.diagonal(factor)).sum()
     laplace_log_evidence = float(
         log_density(mode[None])[0] + 0.5 * d * np.log(2.0 * np.pi) + 0.5 * log_det

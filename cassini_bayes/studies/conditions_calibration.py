@@ -74,8 +74,8 @@ class ConditionTrials(Repeated):
         ranks, pareto_k = np.full(len(SCALARS), np.nan), np.nan
         try:
             model = build_model([reduced_simulation(e, priors) for e in flight.events], priors)
-            density, dimension = partial(log_posterior, model), model.space.dimension
-            z, pareto_k, _ = posterior_draws(density, dimension, rng, EFFORTS, CHAIN_STEPS)
+            density = partial(log_posterior, model)
+            z, pareto_k, _ = posterior_draws(density, model.starts, rng, EFFORTS, CHAIN_STEPS)
             drawn = flat_draws(model, z, rng)
             for place, name in enumerate(SCALARS):
                 if name in drawn and name in truth and np.ptp(drawn[name]) > 0.0:

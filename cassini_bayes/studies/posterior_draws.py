@@ -21,17 +21,21 @@ RANK_DRAWS: Final = 999
 
 def posterior_draws(
     log_density: LogDensity,
-    dimension: int,
+    starts: Array,
     rng: np.random.Generator,
     efforts: Sequence[Effort],
     chain_steps: int = SamplerSettings.max_steps,
 ) -> tuple[Array, float, bool]:
     """Draws (n, d) of the first effort whose Pareto k̂ is trusted; k̂; whether a chain's.
 
-    A chain of at most ``chain_steps`` stands in where none is.
+    A chain of at most ``chain_steps`` stands in where none is. Searches for the mode begin at
+    ``starts`` (s, d).
     """
+    dimension = starts.shape[1]
     for dof, pilots, draws in efforts:
-        warm = warm_start(log_density, dimension, rng, dof=dof, pilots=pilots, draws=draws)
+        warm = warm_start(
+            log_density, dimension, rng, starts=starts, dof=dof, pilots=pilots, draws=draws
+        )
         if warm.draws.pareto_k < TRUSTED_K:
             return warm.draws.resample(rng, RANK_DRAWS), warm.draws.pareto_k, False
     seed = int(rng.integers(2**31))

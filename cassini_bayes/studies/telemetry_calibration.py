@@ -143,8 +143,8 @@ class TelemetryCampaign(Repeated):
         except InputError:
             unknown = np.full(len(self.names()), np.nan)
             return {"ranks": unknown, "pareto_k": np.nan, "by_chain": False}
-        density, dimension = log_density_of(model, self.variant), model.space.dimension
-        z, pareto_k, by_chain = posterior_draws(density, dimension, rng, EFFORTS, CHAIN_STEPS)
+        density = log_density_of(model, self.variant)
+        z, pareto_k, by_chain = posterior_draws(density, model.starts, rng, EFFORTS, CHAIN_STEPS)
         drawn = flat_draws(model, z, rng)
         truth = flat_truth(simulation)
         ranks = [rank(drawn[name], truth[name], rng) for name in self.names()]

@@ -78,7 +78,7 @@ class Campaign(Repeated):
             pulse_shape="rectangular" if self.control == "rectangular-pulses" else "first_order",
         )
         density = partial(log_posterior, fitted)
-        z, k, by_chain = posterior_draws(density, fitted.space.dimension, rng, EFFORTS)
+        z, k, by_chain = posterior_draws(density, fitted.starts, rng, EFFORTS)
         drawn = _flatten(draw(fitted, z, rng), fitted)
         true_values = _flatten(truth, model)
         ranks = [

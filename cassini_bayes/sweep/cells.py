@@ -179,7 +179,9 @@ def refitted(
     def log_density(z: Array) -> Array:
         return np.asarray(model.log_likelihood(z) + standard_normal_log_density(z).sum(-1))
 
-    warm = warm_start(log_density, model.space.dimension, rng, draws=REFIT_DRAWS)
+    warm = warm_start(
+        log_density, model.space.dimension, rng, starts=model.starts, draws=REFIT_DRAWS
+    )
     weights = smoothed_weights(warm.draws.log_weights)
     if weights.trusted:
         return REFITTED, weights, values_of(model.quantities(warm.draws.z, rng), names), None

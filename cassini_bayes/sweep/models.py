@@ -29,6 +29,10 @@ class SweepModel(Protocol):
         """The walked parameters."""
 
     @property
+    def starts(self) -> Array:
+        """Points (s, d) at which searches for the mode begin."""
+
+    @property
     def collapsed(self) -> tuple[str, ...]:
         """Parameters whose priors act although they are integrated out."""
 
@@ -64,6 +68,11 @@ class SweptModel:
     def space(self) -> ParameterSpace:
         """The walked parameters."""
         return self.model.space
+
+    @property
+    def starts(self) -> Array:
+        """Points (s, d) at which searches for the mode begin."""
+        return self.model.starts
 
     @property
     def collapsed(self) -> tuple[str, ...]:

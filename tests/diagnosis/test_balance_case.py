@@ -31,7 +31,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     none_hypothesis,
     unknown_hypothesis,
 )
-from cassini_bayes.diagnosis.modes import find_mode
+from cassini_bayes.diagnosis.modes import find_mode, highest_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, weighted_interval
 from cassini_bayes.diagnosis.symptoms import find_symptoms
@@ -39,6 +39,7 @@ from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
 from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import Blind, reduced
 from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
@@ -255,6 +256,31 @@ def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.Mon
     verdict = verdict_of(events)
     assert verdict.none.mode.log_evidence > from_centre.log_evidence + 50.0
     assert verdict.best.name == "none"
+
+
+def test_tails_of_late_pulses_are_searched_from_both_sides() -> None:
+    """A bias of high gain, tails of 12 ms: from the centre they end at 60 ms, 250 nats too low.
+
+    `tail_off` had all of them, with nothing hidden; and a fit began there.
+    """
+    campaign = Blind(SCENARIO, ROOT / "priors", 20263301, (), OVER_CONDITIONS, over_conditions=True)
+    scene = campaign.scene(campaign.stream(17))
+    alone = compact(none_hypothesis(scene.fly(())))
+    truth = scene.truth().parameters["tau_fall_s"]
+    from_centre = find_mode(alone.log_density, alone.dimension)
+    found = highest_mode(alone.log_density, alone.model.starts)
+    assert found.log_evidence > from_centre.log_evidence + 100.0
+    for point, near in ((found.point, True), (from_centre.point, False)):
+        at = alone.model.space.to_parameters(point)["tau_fall_s"]
+        assert bool(abs(at - truth) < 0.01) is near
+    begun = warm_start(
+        alone.log_density,
+        alone.dimension,
+        np.random.default_rng(1),
+        starts=alone.model.starts,
+        draws=500,
+    )
+    assert abs(alone.model.space.to_parameters(begun.mode)["tau_fall_s"] - truth) < 0.01
 
 
 def test_causes_of_thrusters_have_a_density_beside_slews() -> None:

@@ -146,7 +146,7 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     begun = np.diff(pulses, axis=0)
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
     alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
-    return np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0)
+    return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
 
 def close_gaps(widths_s: Array, step_s: float, control_cycle_s: float) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ from scipy.stats import chi
 
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
-from cassini_bayes.diagnosis.modes import Mode, find_mode, mode_near
+from cassini_bayes.diagnosis.modes import Mode, highest_mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.errors import InputError
@@ -371,7 +371,7 @@ def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> 
     if with_it.dimension == len(stage.base.point):
         near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
     else:  # controllers answer an effect: rows have late pulses in one of the flights alone
-        near = find_mode(with_it.log_density, with_it.dimension)
+        near = highest_mode(with_it.log_density, with_it.model.starts)
     return sensitivity(events, near, path, s)
 
 

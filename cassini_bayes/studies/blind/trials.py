@@ -17,7 +17,7 @@ import numpy as np
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
-from cassini_bayes.diagnosis.modes import find_mode
+from cassini_bayes.diagnosis.modes import highest_mode
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.sizes import size_draws, summarised
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
@@ -124,7 +124,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
     hidden: tuple[Hidden, ...] = ()
     if stratum.name != "null":
         none = compact(none_hypothesis(events))
-        base = find_mode(none.log_density, none.dimension)
+        base = highest_mode(none.log_density, none.model.starts)
         hidden = choose_hidden(stratum, stage(scene, events, base), rng)
     if hidden:
         events = scene.fly(hidden)

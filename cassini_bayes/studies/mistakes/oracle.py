@@ -44,7 +44,7 @@ from cassini_bayes.model.posterior import (
 )
 from cassini_bayes.model.telemetry import TORQUE_NOISE
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.sampling.warmstart import find_mode, laplace
+from cassini_bayes.sampling.warmstart import highest_mode, laplace
 
 MATTERS: Final = 3.0
 """Posterior standard deviations that a scalar moves by: what a 90 % interval no longer holds."""
@@ -155,7 +155,7 @@ def _peak(mode: Mode) -> float:
 
 def _mode(model: Model) -> Mode:
     density = partial(log_posterior, model)
-    start = find_mode(density, np.zeros(len(model.space.names)))
+    start = highest_mode(density, model.starts)
     return mode_at(density, *laplace(density, start))
 
 
