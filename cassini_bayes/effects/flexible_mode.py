@@ -68,7 +68,8 @@ diagnosis-speed.md), and a line between them loses less than its neighbours diff
 PEAKS: Final = (
     6  # lines that are looked at more closely: judgement, time against a weak line's loss
 )
-FINER: Final = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)  # of a line's width, about each peak
+FINER_STEP: Final = 0.25  # of a line's width
+FINER: Final = tuple(FINER_STEP * place for place in range(-3, 4))  # about each peak
 LARGEST_ROOT: Final = 0.3
 """Of the damping, 0.09: an appendage that dies within two cycles is no oscillation (judgement)."""
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
@@ -393,15 +394,14 @@ def _other_lines(
         rest = Posterior(*(values[is_rest] for values in look))
         of_all = Dampings(damping, *DAMPED) if damping > 0.0 else NONE
         shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales))
-        lines = [
-            line
-            for line in finer
+        near = {
+            line: own
+            for line, own in finer.items()
             if line[1] == damping and (line[2] != found[2] or abs(line[0] - found[0]) > width)
-        ]
-        if lines:
-            near = Posterior(*(np.array(own) for own in zip(*map(finer.get, lines), strict=True)))
-            cells = np.array([line[0] for line in lines]), of_all, spacing * (FINER[1] - FINER[0])
-            shapes.append(shapes_of_cells(near, *cells, scales))
+        }
+        if near:
+            cells = np.array([frequency for frequency, *_ in near]), of_all, FINER_STEP * spacing
+            shapes.append(shapes_of_cells(Posterior.stacked(near.values()), *cells, scales))
     return shapes
 
 

@@ -13,7 +13,7 @@ probability by Z, the prior of their damping, and the frequencies that they stan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Final, NamedTuple
 
@@ -46,6 +46,11 @@ class Posterior(NamedTuple):
     log_evidence: Array
     mean: Array
     covariance: Array
+
+    @staticmethod
+    def stacked(each: Iterable[Posterior]) -> Posterior:
+        """Those of several lines as one, along the first axis."""
+        return Posterior(*(np.array(own) for own in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,9 @@ class Dampings(NamedTuple):
         return float(np.log((1.0 - UNDAMPED) * share))
 
 
+NONE: Final = Dampings(0.0, 0.0, 0.0)
+
+
 def shapes_of_cells(
     found: Posterior, frequency_hz: Array, damping: Dampings, width_hz: float, scales: Array
 ) -> Shapes:
@@ -158,9 +166,8 @@ def shapes_over_dampings(
             continue
         best, sd = peak(best, sd, damping.one)  # a wide parabola leans where a line is strong
         frequencies = best + sd * np.array(NEAR_BEST)
-        each = [posterior_of((float(f), damping.one, axis)) for f in frequencies]
-        of_all = Posterior(*(np.array(own) for own in zip(*each, strict=True)))
-        shapes.append(shapes_of_cells(of_all, frequencies, damping, sd, scales))
+        each = (posterior_of((float(f), damping.one, axis)) for f in frequencies)
+        shapes.append(shapes_of_cells(Posterior.stacked(each), frequencies, damping, sd, scales))
     return Shapes.joined(shapes)
 
 
@@ -204,6 +211,3 @@ def _cells(dampings: Array) -> list[Dampings]:
     bounds = np.concatenate([DAMPED[:1], 0.5 * (dampings[1:] + dampings[:-1]), DAMPED[1:]])
     some = zip(dampings.tolist(), bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
     return [NONE, *(Dampings(*own) for own in some)]
-
-
-NONE: Final = Dampings(0.0, 0.0, 0.0)
