@@ -44,7 +44,9 @@ Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
 _ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
-_TAIL_STARTS: Final = (0.0, -2.0, 2.0)  # of a search, in the prior's standard deviations
+_UNLIKE: Final = 1.0  # of noise: prior standard deviations from the median
+_FARTHEST_START: Final = 4.0  # prior standard deviations: what rows show may be beyond its bounds
+_TAIL_STARTS: Final = (-2.0, 2.0)  # of a search, prior standard deviations beside the others
 _FAR: Final = 30.0  # standard normals: beyond it quantiles overflow
 
 
@@ -129,16 +131,21 @@ class Model(Shared):
     def starts(self) -> Array:
         """Points (s, d) at which searches for the mode begin: the centre of the prior, and others.
 
-        Where rows have late pulses there may be two modes, long tails that are late by much more
-        than tails are, and short ones: from the centre alone a search ended 250 nats below the
-        other one (τ_fall 60 ms for 12 ms).
+        A density may have two modes, and from the centre alone a search ended at the lower one.
+        In slews noise of rates can stand for that of wheels (50 nats too low): where rows show a
+        noise unlike the expected one, a search begins with it. Where rows have late pulses long
+        tails that are late by much more than tails are can stand for short ones (250 nats too low):
+        searches begin on both sides of what is expected.
         """
+        shown = _with_shown_noise(self.space, self.telemetry)
+        starts = [np.zeros(self.space.dimension)]
+        if np.abs(shown).max(initial=0.0) > _UNLIKE:
+            starts.append(shown)
         late = any(term.event.statistics.counters.has_late_pulses for term in self.telemetry)
-        if not late or "tau_fall_s" not in self.space.names:
-            return np.zeros((1, self.space.dimension))
-        starts = np.zeros((len(_TAIL_STARTS), self.space.dimension))
-        starts[:, self.space.names.index("tau_fall_s")] = _TAIL_STARTS
-        return starts
+        if late and "tau_fall_s" in self.space.names:
+            of_tail = np.eye(self.space.dimension)[self.space.names.index("tau_fall_s")]
+            starts += [starts[-1] + side * of_tail for side in _TAIL_STARTS]
+        return np.stack(starts)
 
     def points(self, z: Array) -> Points:
         """Every parameter the physics may ask for at walked coordinates z (n, d)."""
@@ -161,6 +168,18 @@ class Model(Shared):
 
 def _side_by_side(counts: Iterable[int]) -> tuple[slice, ...]:
     return tuple(slice(a, b) for a, b in pairwise(accumulate(counts, initial=0)))
+
+
+def _with_shown_noise(space: ParameterSpace, terms: Sequence[TelemetryTerm]) -> Array:
+    """The centre of the prior (d,), noise as differences of rows show it on average of events."""
+    shown = [dict(term.event.sampling.reference_noise) for term in terms]
+    centre = np.zeros(space.dimension)
+    known = set(space.names).intersection(*shown) if shown else set()
+    if not known:
+        return centre
+    levels = {name: np.exp(np.mean([np.log(own[name]) for own in shown])) for name in known}
+    moved = space.to_standard({**space.to_parameters(centre), **levels})
+    return np.clip(moved, -_FARTHEST_START, _FARTHEST_START)
 
 
 def build_model(

@@ -258,29 +258,34 @@ def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.Mon
     assert verdict.best.name == "none"
 
 
-def test_tails_of_late_pulses_are_searched_from_both_sides() -> None:
-    """A bias of high gain, tails of 12 ms: from the centre they end at 60 ms, 250 nats too low.
+@pytest.mark.parametrize(
+    ("trial", "key"),
+    [
+        pytest.param((20263301, 17), "tau_fall_s", id="short tails of late pulses"),
+        pytest.param((20263303, 1329), "wheel_noise_rpm", id="noisy wheels in slews"),
+    ],
+)
+def test_searches_begin_where_the_other_mode_is(trial: tuple[int, int], key: str) -> None:
+    """Nothing is hidden: from the centre of the prior searches end 50 and 250 nats too low.
 
-    `tail_off` had all of them, with nothing hidden; and a fit began there.
+    Tails of 12 ms are found at 60 ms, wheel noise of 1.1 rpm at 0.06 rpm. `tail_off` had all these
+    nats, even where nothing fires; and a fit began there.
     """
-    campaign = Blind(SCENARIO, ROOT / "priors", 20263301, (), OVER_CONDITIONS, over_conditions=True)
-    scene = campaign.scene(campaign.stream(17))
+    seed, index = trial
+    campaign = Blind(SCENARIO, ROOT / "priors", seed, (), OVER_CONDITIONS, over_conditions=True)
+    scene = campaign.scene(campaign.stream(index))
     alone = compact(none_hypothesis(scene.fly(())))
-    truth = scene.truth().parameters["tau_fall_s"]
-    from_centre = find_mode(alone.log_density, alone.dimension)
-    found = highest_mode(alone.log_density, alone.model.starts)
-    assert found.log_evidence > from_centre.log_evidence + 100.0
-    for point, near in ((found.point, True), (from_centre.point, False)):
-        at = alone.model.space.to_parameters(point)["tau_fall_s"]
-        assert bool(abs(at - truth) < 0.01) is near
-    begun = warm_start(
-        alone.log_density,
-        alone.dimension,
-        np.random.default_rng(1),
-        starts=alone.model.starts,
-        draws=500,
-    )
-    assert abs(alone.model.space.to_parameters(begun.mode)["tau_fall_s"] - truth) < 0.01
+    density, starts, space = alone.log_density, alone.model.starts, alone.model.space
+    from_centre = find_mode(density, alone.dimension)
+    found = highest_mode(density, starts)
+    assert found.log_evidence > from_centre.log_evidence + 30.0
+    rng = np.random.default_rng(1)
+    begun = warm_start(density, alone.dimension, rng, starts=starts, draws=500)
+    truth = scene.truth().parameters[key]
+    at = [float(space.to_parameters(z)[key]) for z in (from_centre.point, found.point, begun.mode)]
+    bent, *right = np.abs(np.log(np.array(at) / truth))
+    assert max(right) < 0.25
+    assert bent > 1.5
 
 
 def test_causes_of_thrusters_have_a_density_beside_slews() -> None:
