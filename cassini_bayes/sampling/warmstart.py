@@ -243,8 +243,12 @@ def pareto_k(log_weights: Array) -> float:
 
 
 def highest_mode(log_density: LogDensity, starts: Array) -> Array:
-    """The highest of the maxima (d,) that searches from points (s, d) find."""
-    modes = np.stack([find_mode(log_density, start) for start in starts])
+    """The highest of the maxima (d,) that searches from points (s, d) find.
+
+    Only the first of them must have a density.
+    """
+    usable = [starts[0], *(s for s in starts[1:] if np.isfinite(log_density(s[None])).all())]
+    modes = np.stack([find_mode(log_density, start) for start in usable])
     return np.asarray(modes[int(log_density(modes).argmax())])
 
 

@@ -13,6 +13,7 @@ from cassini_bayes.sampling.warmstart import (
     Proposal,
     find_mode,
     hessian,
+    highest_mode,
     importance,
     laplace,
     warm_start,
@@ -86,6 +87,23 @@ def test_density_that_is_not_finite_at_the_start_is_an_error() -> None:
     """A posterior of −inf at the prior's centre is said, not optimised."""
     with pytest.raises(CassiniBayesError, match="not finite"):
         find_mode(lambda z: np.full(len(z), -np.inf), np.zeros(2))
+
+
+def test_the_higher_of_two_modes_is_found_from_beside_it() -> None:
+    """Two narrow normals, the second one ten nats higher; a start without a density is left out."""
+    means = np.array([[0.2, 0.0], [3.0, 0.0]])
+
+    def two(z: Array) -> Array:
+        of_each = [-50.0 * ((z - mean) ** 2).sum(-1) + 10.0 * i for i, mean in enumerate(means)]
+        return np.where(z[:, 0] > -1.0, np.logaddexp(*of_each), -np.inf)
+
+    starts = np.array([[0.0, 0.0], [2.9, 0.1], [-2.0, 0.0]])
+    assert find_mode(two, starts[0]) == pytest.approx(means[0], abs=1e-3)
+    assert highest_mode(two, starts) == pytest.approx(means[1], abs=1e-3)
+    rng = np.random.default_rng(3)
+    assert warm_start(two, 2, rng, starts=starts, draws=500).mode == pytest.approx(
+        means[1], abs=1e-3
+    )
 
 
 def test_proposal_density_and_draws_are_student_t() -> None:
