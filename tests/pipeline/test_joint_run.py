@@ -226,8 +226,8 @@ def test_a_bad_proposal_is_said_and_survived(monkeypatch: pytest.MonkeyPatch) ->
     """Pareto k̂ above 0.7: told before sampling, differential evolution takes over, warned of."""
     original = fitting.warm_start
 
-    def spoilt(*arguments: Any) -> WarmStart:
-        warm = original(*arguments)
+    def spoilt(*arguments: Any, **options: Any) -> WarmStart:
+        warm = original(*arguments, **options)
         return replace(warm, draws=replace(warm.draws, pareto_k=0.9))
 
     monkeypatch.setattr(fitting, "warm_start", spoilt)
