@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from typing import Final, NamedTuple
 
@@ -330,6 +330,7 @@ def find_oscillation(
     factor = cho_factor(linear.gram())
     views = [_views(rows, linear, axis) for axis in range(3)]
 
+    @cache  # the finer look, that at all dampings and the sizes share lines
     def posterior_of(line: Line) -> Posterior:
         gram, projection = _fine(rows, motions, views[line[2]], factor, line)
         return posterior(gram, projection, size[line[2]])
@@ -343,7 +344,7 @@ def find_oscillation(
         for damping in COARSE_DAMPINGS
         for line in ((float(frequencies[f] + s / span), damping, axis) for s in FINER)
     }
-    ranked = sorted(finer, key=lambda line: float(finer[line].log_evidence))[::-1]
+    ranked = sorted(finer, key=score)[::-1]
     best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in ranked))[:PEAKS]
     fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
     frequency, damping, axis = max(fits, key=score)
@@ -363,7 +364,7 @@ def find_oscillation(
     units = np.array([*scales[:1], *scales])
     found = (frequency, damping, axis)
     of_found = shapes_over_dampings(posterior_of, found, span, units)
-    others = _other_lines(found, finer, (frequencies, looks, peaks), units)
+    others = _other_lines(found, span, finer, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
     gain = -float(result.fun)
     return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
@@ -371,17 +372,19 @@ def find_oscillation(
 
 def _other_lines(
     found: Line,
+    span_s: float,
     finer: Mapping[Line, Posterior],
     coarse: tuple[Array, Sequence[Posterior], Sequence[tuple[int, int]]],
     scales: Array,
 ) -> list[Shapes]:
     """All lines of the search but the one found: those about the peaks, and the rest.
 
-    ``coarse`` is the first look: frequencies (f,), the posterior (f, 3) at every damping, and the
-    places of its peaks. Beside a peak and within two widths of the line found is no other line.
+    ``span_s`` is that of the longest event, ``coarse`` the first look: frequencies (f,), the
+    posterior (f, 3) at every damping, and the places of its peaks. Beside a peak and within two
+    widths of the line found is no other line.
     """
     frequencies, looks, peaks = coarse
-    spacing = frequencies[0] / LEAST_CYCLES
+    spacing = 1.0 / span_s
     width = 2.0 * float(np.hypot(spacing, found[1] * found[0]))
     own = np.abs(frequencies - found[0]) < width
     is_rest = np.ones((len(frequencies), 3), dtype=bool)
