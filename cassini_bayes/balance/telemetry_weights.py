@@ -133,9 +133,10 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array
         scales = open_scales(event, physics)
         offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        fired = arm[..., :, None] * scales.pulse_weights[:, None, None, :]
+        longer = event.sampling.pulses.longer(physics.tau_s, offset)
+        pulse = scales.pulse_weights[:, None] + longer
+        fired = arm[..., :, None] * pulse[:, :, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
-        weights[:, pattern.pulses] = offset[:, :, None] * arm
         weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:

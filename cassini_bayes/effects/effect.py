@@ -109,9 +109,7 @@ class Kind:
     name
         As a diagnosis spells it, without target; also the name of the table's file.
     change
-        What it does to the physics: of totals rows, and of telemetry unless ``change_in_rows``.
-    change_in_rows
-        The change of telemetry's physics where that differs: there a pulse turns with the body.
+        What it does to the physics, the same of totals rows and of telemetry.
     columns
         From the names of an event's thrusters to the columns of telemetry that its physics weighs
         by name (``Physics.extra``). Column ``what@thruster`` is an on-time of that thruster.
@@ -144,7 +142,6 @@ class Kind:
 
     name: str
     change: Change
-    change_in_rows: Change | None = None
     columns: Callable[[Sequence[str]], tuple[ExtraColumn, ...]] | None = None
     search: Callable[[Remainder, Mapping[str, Distribution]], SearchResult | None] | None = None
     reported: tuple[str, ...] = ()
@@ -254,13 +251,10 @@ class Effect:
         """Its own parameters by key, out of all parameters of a model."""
         return {p.key: np.asarray(parameters[p.name], dtype=np.float64) for p in self.parameters}
 
-    def modifier(self, spacecraft: Spacecraft, branch: str, *, rows: bool = False) -> Modifier:
-        """It as a change of physics that reads its own walked parameters.
-
-        ``rows``: of telemetry rows, where a pulse's impulse is a turning vector.
-        """
+    def modifier(self, spacecraft: Spacecraft, branch: str) -> Modifier:
+        """It as a change of physics that reads its own walked parameters."""
         setting = self.setting(spacecraft, branch)
-        change = (rows and self.kind.change_in_rows) or self.kind.change
+        change = self.kind.change
 
         def modify(physics: Physics, parameters: Parameters) -> Physics:
             return change(physics, parameters, self.values(parameters), setting)

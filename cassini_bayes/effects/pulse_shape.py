@@ -26,18 +26,6 @@ def change(physics: Physics, _: Parameters, values: Values, __: Setting) -> Phys
     return with_more(physics, impulse_offset_s=shift)
 
 
-def change_in_rows(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
-    """More impulse as a longer tail, less as a slower rise: both turn with the body later.
-
-    Counts of pulses do not: they stand in the body axes of the row that shows them.
-    """
-    delay, rise, fall = physics.tau_s
-    offset = values["impulse_time_offset_s"]
-    return replace(
-        physics, tau_s=(delay, rise + np.maximum(-offset, 0.0), fall + np.maximum(offset, 0.0))
-    )
-
-
 def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
     """An offset per pulse, where estimates have tails."""
     if not printed.is_pulsed:
@@ -48,7 +36,6 @@ def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
 KIND: Final = Kind(
     "pulse_shape",
     change,
-    change_in_rows=change_in_rows,
     doubt=doubt,
     says=Clause("every pulse gives {0} of full thrust more than its closed form", (("ms", 1e3),)),
 )

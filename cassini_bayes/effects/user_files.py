@@ -34,7 +34,6 @@ _NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _TAKEN: Final = ("none", "unknown")  # what a diagnosis weighs beside causes
 ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "change": ("physics", "parameters", "values", "setting"),
-    "change_in_rows": ("physics", "parameters", "values", "setting"),
     "columns": ("thrusters",),
     "search": ("remainder", "priors"),
     "report": ("values", "setting"),
@@ -46,7 +45,7 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 
 RESULTS: Final[Mapping[str, type]] = {
-    **dict.fromkeys(("change", "change_in_rows"), Physics),
+    "change": Physics,
     **dict.fromkeys(("report", "doubt"), dict),
     "columns": tuple,
     "fire": Fired,

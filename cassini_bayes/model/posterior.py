@@ -303,13 +303,12 @@ def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
     )
     specs = {spec.name: spec for effect in effects for spec in effect.specs}
     added = [(effect, effect.modifier(*place)) for effect in effects]
-    in_rows = [(effect, effect.modifier(*place, rows=True)) for effect in effects]
     return replace(
         model,
         space=space,
         specs={**model.specs, **specs},
         totals=tuple(term.with_modifiers(added) for term in model.totals),
-        telemetry=tuple(term.with_modifiers(in_rows) for term in model.telemetry),
+        telemetry=tuple(term.with_modifiers(added) for term in model.telemetry),
         effects=(*model.effects, *effects),
     )
 

@@ -162,3 +162,23 @@ def test_one_width_is_enough_for_long_pulses(shape: str) -> None:
     assert rms.max() < 1e-4
     mixed = PulseBasis(PULSE_SHAPES[shape], REFERENCE, (0.03,) + (0.125,) * 11)
     assert mixed.columns(widths)[:, 2:].any()
+
+
+@pytest.mark.parametrize("offset", [0.09, 0.01, -0.01])
+def test_longer_pulses_deliver_what_their_closed_form_says(offset: float) -> None:
+    """Weights of an offset make columns of every width those of pulses that go on for longer.
+
+    Within 2 % of the offset and 0.5 ms, rms, where pulses have all widths. Control: a longer tail
+    is half of it off, as short pulses have hardly begun to thrust.
+    """
+    shape, tau = PULSE_SHAPES["first_order"], (0.005, 0.02, 0.033)
+    widths = np.geomspace(0.015, 0.25, 30)
+    basis = PulseBasis(shape, REFERENCE, tuple(widths.tolist()))
+    taus = tuple(np.array([value]) for value in tau)
+    gained = basis.columns(widths) @ basis.longer(taus, np.array([[offset]]))[0, 0]
+    wanted = shape.effective_time(widths + offset, *tau) - shape.effective_time(widths, *tau)
+    assert np.sqrt(np.mean((gained - wanted) ** 2)) < 0.02 * abs(offset) + 5e-4
+    tail = (tau[0], tau[1], tau[2] + offset)
+    later = shape.effective_time(widths, *tail) - shape.effective_time(widths, *tau)
+    assert np.abs(later - wanted).max() > 0.5 * abs(offset)
+    assert not basis.longer(taus, np.zeros((1, 1))).any()

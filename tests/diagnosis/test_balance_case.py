@@ -288,6 +288,21 @@ def test_searches_begin_where_the_other_mode_is(trial: tuple[int, int], key: str
     assert bent > 1.5
 
 
+def test_the_density_of_a_pulse_shape_has_no_edge_at_nothing() -> None:
+    """Second differences go with the square of the step; at an edge they would go with the step.
+
+    An offset was a longer tail above nothing and a slower rise below: searches ended in between.
+    """
+    events = nothing_hidden()
+    cause = compact(extend(none_hypothesis(events), [events.catalogue.effect("pulse_shape")]))
+    at = 0.02 * np.array([0.0, 1.0, -1.0, 0.1, -0.1])
+    points = np.zeros((len(at), cause.dimension))
+    points[:, -1] = at
+    value, *beside = cause.log_density(points)
+    bends = np.reshape(beside, (2, 2)).sum(axis=1) - 2.0 * value
+    assert bends[0] / bends[1] == pytest.approx(100.0, rel=0.2)
+
+
 def test_causes_of_thrusters_have_a_density_beside_slews() -> None:
     """Slews fire nothing, and the craft's thrusters have their factors all the same."""
     events = nothing_hidden()

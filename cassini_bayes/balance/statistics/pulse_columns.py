@@ -171,6 +171,28 @@ class PulseBasis:
             result[n] = others = np.convolve(others, one / one.sum())
         return result
 
+    def longer(self, tau_s: Sequence[Array], offset_s: Array) -> Array:
+        """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K): (n, K, C).
+
+        An offset, and at the widths w_j what g(w_j + offset) gains beyond it. A negative offset
+        leaves nothing of shorter pulses. (A count of pulses would have the body axes of the row
+        that shows it; impulse turns with the body after it was given.)
+        """
+        if not offset_s.any():
+            return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
+        own = [np.asarray(tau)[..., None, None] for tau in tau_s]
+        widths = np.maximum(self.nodes_s + offset_s[..., None], 0.0)
+        gained = self.shape.effective_time(widths, *own)
+        gained = gained - self.shape.effective_time(self.nodes_s, *own) - offset_s[..., None]
+        of_nodes = _filled(np.concatenate([np.zeros_like(gained[..., :1]), gained], axis=-1))
+        return np.asarray(offset_s[..., None] * self._of_offset + of_nodes)
+
+    @cached_property
+    def _of_offset(self) -> Array:
+        """Weights (C,) that sum the columns to 1 for every pulse, in least squares over widths."""
+        columns = self.columns(np.array(self.widths_s) if self.widths_s else self.nodes_s)
+        return np.linalg.pinv(columns, rcond=1e-9).sum(axis=1)
+
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
         gained = self._gained(self.nodes_s, *(np.asarray(tau)[..., None] for tau in tau_s))
