@@ -191,7 +191,7 @@ class PulseBasis:
     def _of_offset(self) -> Array:
         """Weights (C,) that sum the columns to 1 for every pulse, in least squares over widths."""
         columns = self.columns(np.array(self.widths_s) if self.widths_s else self.nodes_s)
-        return np.linalg.pinv(columns, rcond=1e-9).sum(axis=1)
+        return np.asarray(np.linalg.pinv(columns, rcond=1e-9).sum(axis=1))
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
