@@ -37,7 +37,6 @@ from cassini_bayes.events.plausibility.verdict import (
 )
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
 from cassini_bayes.spacecraft import Spacecraft
-from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ONE_MOTION: Final = "attitude, rates, wheels and counters of one motion"
 OPEN: Final = 0.3
@@ -266,7 +265,7 @@ def _exchanged(rows: Rows, nominal: Nominal) -> float:
     """Largest change of momentum that any kind of carrier shows, RMS over rows, N m s."""
     momenta = (
         rows.rate_rad_s @ nominal.inertia.T,
-        RAD_S_PER_RPM * rows.wheel_rpm @ nominal.spins.T,
+        nominal.of_wheels(rows.wheel_rpm),
         rows.on_time_s @ nominal.torques.T,
     )
     return max(

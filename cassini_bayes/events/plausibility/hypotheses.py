@@ -40,7 +40,6 @@ from cassini_bayes.events.plausibility.verdict import (
     SUSPECT,
     Explanation,
 )
-from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 SILENT: Final = 1.5
 """Factor of misfits: without one axis of three, noise-free ones are two thirds as large."""
@@ -111,7 +110,7 @@ class Evidence:
         rows, motion = self.rows, self.motion
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return None
-        momentum = RAD_S_PER_RPM * rows.wheel_rpm @ self.nominal.spins.T
+        momentum = self.nominal.of_wheels(rows.wheel_rpm)
         given = np.linalg.solve(self.nominal.inertia, momentum.T).T
         return -_between(motion.time_s, rows.time_s, np.asarray(given, dtype=np.float64))
 

@@ -119,6 +119,10 @@ class Nominal:
         tail_s = parameters.get("tau_fall_s", 0.0) - parameters.get("tau_rise_s", 0.0)
         return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s)
 
+    def of_wheels(self, wheel_rpm: Array) -> Array:
+        """Momentum (n, 3), N m s, of wheels at rates (n, W) in rev/min."""
+        return np.asarray(RAD_S_PER_RPM * wheel_rpm @ self.spins.T)
+
     @cached_property
     def columns(self) -> Columns:
         """Places of the channels' columns."""
