@@ -46,13 +46,12 @@ posterior mean less the truth, median of its absolute value. All trials: [table]
 
 ![Hidden and found sizes](two-wheels.png)
 
-A platform's angle and the tilt u of its wheel are the same to first order (`wheel_alignment`): the
+A platform's angle and the tilt u of its wheel are the same to first order (`wheel_alignment`). The
 size decides: a wheel's alignment on its platform is known to 2 mrad, the angle of the platform to
-10. The smallest are
-reported as a group of both. A leak of a Z thruster has a direction that no other cause has. One of
-a Y thruster turns the body about Z as a steady torque may, and the mosaic's turns of 14 mrad do not
-separate them: `external_torque` is in its group, and often first. What tells them apart is
-[a change of attitude](leaks.md#a-leak-and-a-steady-torque).
+10. The smallest are reported as a group of both. A leak of a Z thruster has a direction that no
+other cause has. One of a Y thruster turns the body about Z as a steady torque may, and the mosaic's
+turns of 14 mrad do not separate them: `external_torque` is in its group, and often first. What
+tells them apart is [a change of attitude](leaks.md#a-leak-and-a-steady-torque).
 
 Spin-ups (`--events spin-up`) are left out here: two wheels hold X and Y so still that the data say
 next to nothing of I_xx and I_yy, and the diagnosis blames these where nothing is hidden
