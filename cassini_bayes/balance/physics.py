@@ -39,10 +39,11 @@ DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 class Physics:
     """Quantities of the momentum balance; leading axes ``...`` are the batch of points.
 
-    A thruster's impulse is F_k (s_k + impulse_offset_k × pulses), and ``thrust_factor`` is that of
-    its level, about which F_k scatters as its prior says (docs/topics/criticism.md §2). Measured
-    rates are (1 + rate_scale) ω + rate_bias. ``extra`` names further columns of telemetry (built by
-    the same name in the reduction) with their weights in the momentum that goes in.
+    A thruster's impulse is F_k (s_k + impulse_offset_k × pulses), in telemetry that of pulses that
+    go on for longer by the offset. ``thrust_factor`` is that of its level, about which F_k scatters
+    as its prior says (docs/topics/criticism.md §2). Measured rates are (1 + rate_scale) ω +
+    rate_bias. ``extra`` names further columns of telemetry (built by the same name in the
+    reduction) with their weights in the momentum that goes in.
     """
 
     inertia_kg_m2: Array  # (..., 3, 3) with the stationary wheels
