@@ -393,9 +393,9 @@ def _require_readable(event_id: str, layout: Layout, rounding: Sequence[Rounding
                 f"event {event_id}: on_time_{name}_s",
                 f"a counter in finer steps than its pulses, {own.width_s:.3f} s on average",
                 f"steps of {own.step_s:g} s",
-                "give the counter in finer steps, or the sums of the bias as a totals row; if pulses "
-                "are whole numbers of control cycles, say so by control_cycle_s in the spacecraft "
-                "file",
+                "give the counter in finer steps, or the sums of the bias as a totals row; if "
+                "pulses are whole numbers of control cycles, say so by control_cycle_s in the "
+                "spacecraft file",
             )
 
 
