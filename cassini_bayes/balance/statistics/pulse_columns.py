@@ -34,6 +34,7 @@ LONG_S: Final = 0.12
 # (20 µs)² of a firing, 0.3 ms after some hundred: less than what torque noise does in a minute
 LEAST_SCATTER_S2: Final = 4e-10
 FEW: Final = 6  # pulses of a firing, whose widths are looked for one by one
+USUAL: Final = 24  # widths of pulses that weights of longer pulses are fitted over (judgement)
 GRID_S: Final = 1e-3  # of sums of their widths, and by how much these may be off (one standard
 SMOOTH_S: Final = 1.5e-3  # deviation): commands are no exact sample of those seen elsewhere
 LEAST_CHANCE: Final = 1e-4  # of the likeliest sum: below it no widths of the event add up to it
@@ -174,24 +175,29 @@ class PulseBasis:
     def longer(self, tau_s: Sequence[Array], offset_s: Array) -> Array:
         """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K): (n, K, C).
 
-        An offset, and at the widths w_j what g(w_j + offset) gains beyond it. A negative offset
-        leaves nothing of shorter pulses. (A count of pulses would have the body axes of the row
-        that shows it; impulse turns with the body after it was given.)
+        Those whose sum of columns is nearest to g(w + offset) − g(w), in least squares over widths
+        w of the event's pulses. A negative offset leaves nothing of pulses that are shorter. (A
+        count of pulses would have the body axes of the row that shows it; impulse turns with the
+        body after it was given.)
         """
         if not offset_s.any():
             return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
+        widths, fit = self._usual_widths
         own = [np.asarray(tau)[..., None, None] for tau in tau_s]
-        widths = np.maximum(self.nodes_s + offset_s[..., None], 0.0)
-        gained = self.shape.effective_time(widths, *own)
-        gained = gained - self.shape.effective_time(self.nodes_s, *own) - offset_s[..., None]
-        of_nodes = _filled(np.concatenate([np.zeros_like(gained[..., :1]), gained], axis=-1))
-        return np.asarray(offset_s[..., None] * self._of_offset + of_nodes)
+        longer = np.maximum(widths + offset_s[..., None], 0.0)
+        gained = self.shape.effective_time(longer, *own) - self.shape.effective_time(widths, *own)
+        return np.asarray(gained @ fit)
 
     @cached_property
-    def _of_offset(self) -> Array:
-        """Weights (C,) that sum the columns to 1 for every pulse, in least squares over widths."""
-        columns = self.columns(np.array(self.widths_s) if self.widths_s else self.nodes_s)
-        return np.asarray(np.linalg.pinv(columns, rcond=1e-9).sum(axis=1))
+    def _usual_widths(self) -> tuple[Array, Array]:
+        """Widths (Q,) of pulses, of all kinds if the event's are not known, and what fits there.
+
+        That are weights (Q, C) of the columns for a unit at each width.
+        """
+        widths = np.geomspace(WIDTHS_S[0], WIDTHS_S[-1], USUAL)
+        if self.widths_s:
+            widths = np.quantile(self.widths_s, np.linspace(0.0, 1.0, USUAL))
+        return widths, np.asarray(np.linalg.pinv(self.columns(widths), rcond=1e-6).T)
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
