@@ -10,7 +10,9 @@ from cassini_bayes.balance.statistics.columns import ExtraColumn
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,
+    noise_squares,
     pieces_of,
+    slope_weights,
     turns_between,
 )
 
@@ -68,3 +70,36 @@ def test_noise_of_integrals_is_whitened_with_what_is_summed_up() -> None:
     assert ramp @ ramp == pytest.approx(1.0)
     assert ramp @ noise[:32, :32] @ ramp == pytest.approx(1.0 / turns.slope_shares[0, 2])
     assert ramp @ noise[:32, :32] @ ramp > 10.0
+
+
+@pytest.mark.parametrize("rows", [2, 3, 7, 60])
+def test_noise_in_the_integrals_of_a_piece_is_that_of_the_whole_matrix(rows: int) -> None:
+    """Sums over rows give the squares of the trapezoidal rule's matrix, at any times."""
+    rng = np.random.default_rng(rows)
+    time = 100.0 + np.cumsum(rng.uniform(0.2, 2.0, rows))
+    half, lower = 0.5 * np.diff(time), np.tri(rows, rows - 1, -1)
+    rule = np.zeros((rows, rows))
+    rule[:, :-1] += lower * half
+    rule[:, 1:] += lower * half
+    ramp = time - time.mean()
+    ramp /= np.linalg.norm(ramp)
+    plane = np.column_stack([np.full(rows, rows**-0.5), ramp])
+    left = np.eye(rows) - plane @ plane.T
+    wanted = [
+        ((ramp @ rule) ** 2).sum(),
+        ((left @ rule) ** 2).sum(),
+        ((left @ rule @ (lower * np.sqrt(np.diff(time)))) ** 2).sum(),
+    ]
+    found = noise_squares(time, ramp)
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+    assert slope_weights(time) == pytest.approx(ramp @ rule)
+
+
+def test_pieces_may_have_very_many_rows() -> None:
+    """32 s at 5 kHz: a matrix of all rows would need 200 GB."""
+    time = np.linspace(0.0, 32.0, 160_001)
+    ramp = time - time.mean()
+    coarse = noise_squares(time[::1000], ramp[::1000] / np.linalg.norm(ramp[::1000]))
+    fine = noise_squares(time, ramp / np.linalg.norm(ramp))
+    # noise of rows that are a thousand times as many averages out; a walk does not
+    assert np.array(fine) / coarse == pytest.approx([1.0, 1.0, 1000.0], rel=0.05)

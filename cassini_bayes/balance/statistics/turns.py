@@ -18,6 +18,7 @@ rates would be more than that of the attitude. Derivation: ``docs/topics/telemet
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -278,8 +279,6 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         turns = turns_between(rows.cosines[start:stop])
         own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
         gained = _integral(time, cosines(time, sampling.duration_s, SLOPE_WAVES + 1))
-        summed = _integral(time, np.eye(len(time)))
-        walked = summed @ (np.sqrt(np.diff(time)) * np.tri(len(time), len(time) - 1, -1))
         ramp = time - time.mean()
         length = np.linalg.norm(ramp)
         ramp /= length
@@ -291,9 +290,10 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         waves.append(ramp[None] @ gained)
         rest.append(_without_slope(own, ramp))
         contrasts += stop - start - 2
-        of_slopes.append(float(((ramp @ summed) ** 2).sum()))
-        rest_summed += float((_without_slope(summed, ramp) ** 2).sum())
-        rest_walked += float((_without_slope(walked, ramp) ** 2).sum())
+        slope, summed, walked = noise_squares(time, ramp)
+        of_slopes.append(slope)
+        rest_summed += summed
+        rest_walked += walked
     return Turned(
         np.array(times),
         np.concatenate(slopes),
@@ -310,7 +310,46 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
 def slope_weights(time_s: Array) -> Array:
     """What the rows (m,) of a piece put into its slope, s."""
     ramp = time_s - time_s.mean()
-    return np.asarray(ramp / np.linalg.norm(ramp) @ _integral(time_s, np.eye(len(time_s))))
+    return _of_integrals(time_s, ramp / np.linalg.norm(ramp))
+
+
+def noise_squares(time_s: Array, ramp: Array) -> tuple[float, float, float]:
+    """Squares of what noise of the rows puts into the integrals of a piece, per unit of it.
+
+    With A the trapezoidal rule as a matrix (m, m) and W a random walk at the rows, |ramp A|², s²,
+    |(1 − P) A|², s², and |(1 − P) A W|², s³, P the projection on a constant and on the unit
+    ``ramp`` (m,). In sums over the rows: rows may be many, A has their square.
+    """
+    m, time_s = len(time_s), time_s - time_s.mean()
+    step, flat = np.diff(time_s), np.full(m, 1.0 / math.sqrt(m))
+    after, both = np.arange(m - 1, -1, -1.0), _weights_of_rows(time_s)
+    slope = float((_of_integrals(time_s, ramp) ** 2).sum())
+    summed = float((both[0] ** 2).sum() + after @ both.sum(axis=0) ** 2)
+    summed -= slope + float((_of_integrals(time_s, flat) ** 2).sum())
+    # a step of the walk has, at later rows, what passed since the middle of its interval
+    middle = time_s[:-1] + 0.5 * step
+    square = _later(time_s**2) - 2.0 * middle * _later(time_s) + middle**2 * after[:-1]
+    walked = float(step @ square)
+    for along in (flat, ramp):
+        walked -= float(step @ (_later(along * time_s) - middle * _later(along)) ** 2)
+    return slope, summed, walked
+
+
+def _of_integrals(time_s: Array, along: Array) -> Array:
+    """Weights (m,) of the rows in a sum ``along`` (m,) the integrals: along · A, s."""
+    before, behind = _weights_of_rows(time_s)
+    return np.asarray(before * along + (before + behind) * np.append(_later(along), 0.0))
+
+
+def _weights_of_rows(time_s: Array) -> Array:
+    """Half of the steps before and behind every row, (2, m), s."""
+    half = 0.5 * np.diff(time_s)
+    return np.stack([np.r_[0.0, half], np.r_[half, 0.0]])
+
+
+def _later(values: Array) -> Array:
+    """Sums (m − 1,) of values (m,) over later rows."""
+    return np.cumsum(values[:0:-1])[::-1]
 
 
 def _integral(time_s: Array, values: Array) -> Array:
