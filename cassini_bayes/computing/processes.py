@@ -100,7 +100,7 @@ def as_finished(
             if isinstance(failure, BrokenProcessPool):
                 raise CassiniBayesError(
                     "a worker process was killed, maybe for want of memory: start the same command "
-                    "again, with fewer jobs"
+                    "again, with fewer jobs; or give fewer rows of telemetry a second"
                 ) from failure
             raise
 
