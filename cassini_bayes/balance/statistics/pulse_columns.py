@@ -184,15 +184,15 @@ class PulseBasis:
             return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
         widths, fit = self._usual_widths
         own = [np.asarray(tau)[..., None, None] for tau in tau_s]
-        longer = np.maximum(widths + offset_s[..., None], 0.0)
-        gained = self.shape.effective_time(longer, *own) - self.shape.effective_time(widths, *own)
+        moved = np.maximum(widths + offset_s[..., None], 0.0)
+        gained = self.shape.effective_time(moved, *own) - self.shape.effective_time(widths, *own)
         return np.asarray(gained @ fit)
 
     @cached_property
     def _usual_widths(self) -> tuple[Array, Array]:
-        """Widths (Q,) of pulses, of all kinds if the event's are not known, and what fits there.
+        """Widths (Q,) of pulses, of all kinds if the event's are not known, and weights (Q, C).
 
-        That are weights (Q, C) of the columns for a unit at each width.
+        Values (Q,) at the widths times these are the weights of the columns nearest to them.
         """
         widths = np.geomspace(WIDTHS_S[0], WIDTHS_S[-1], USUAL)
         if self.widths_s:
