@@ -254,10 +254,9 @@ class Effect:
     def modifier(self, spacecraft: Spacecraft, branch: str) -> Modifier:
         """It as a change of physics that reads its own walked parameters."""
         setting = self.setting(spacecraft, branch)
-        change = self.kind.change
 
         def modify(physics: Physics, parameters: Parameters) -> Physics:
-            return change(physics, parameters, self.values(parameters), setting)
+            return self.kind.change(physics, parameters, self.values(parameters), setting)
 
         return modify
 

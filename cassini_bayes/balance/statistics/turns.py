@@ -321,35 +321,37 @@ def noise_squares(time_s: Array, ramp: Array) -> tuple[float, float, float]:
     ``ramp`` (m,). In sums over the rows: rows may be many, A has their square.
     """
     m, time_s = len(time_s), time_s - time_s.mean()
-    step, flat = np.diff(time_s), np.full(m, 1.0 / math.sqrt(m))
-    after, both = np.arange(m - 1, -1, -1.0), _weights_of_rows(time_s)
-    slope = float((_of_integrals(time_s, ramp) ** 2).sum())
-    summed = float((both[0] ** 2).sum() + after @ both.sum(axis=0) ** 2)
-    summed -= slope + float((_of_integrals(time_s, flat) ** 2).sum())
+    plane = np.stack([np.full(m, 1.0 / math.sqrt(m)), ramp])
+    step, after = np.diff(time_s), np.arange(m - 1, -1, -1.0)
+    own, later = _weights_of_rows(time_s)
+    of_plane = (_of_integrals(time_s, plane) ** 2).sum(axis=1)
+    summed = (own**2).sum() + after @ later**2 - of_plane.sum()
     # a step of the walk has, at later rows, what passed since the middle of its interval
     middle = time_s[:-1] + 0.5 * step
     square = _later(time_s**2) - 2.0 * middle * _later(time_s) + middle**2 * after[:-1]
-    walked = float(step @ square)
-    for along in (flat, ramp):
-        walked -= float(step @ (_later(along * time_s) - middle * _later(along)) ** 2)
-    return slope, summed, walked
+    along = _later(plane * time_s) - middle * _later(plane)
+    walked = step @ (square - (along**2).sum(axis=0))
+    return float(of_plane[1]), float(summed), float(walked)
 
 
 def _of_integrals(time_s: Array, along: Array) -> Array:
-    """Weights (m,) of the rows in a sum ``along`` (m,) the integrals: along · A, s."""
-    before, behind = _weights_of_rows(time_s)
-    return np.asarray(before * along + (before + behind) * np.append(_later(along), 0.0))
+    """Weights (…, m) of the rows in sums ``along`` (…, m) the integrals: along · A, s."""
+    own, later = _weights_of_rows(time_s)
+    result = own * along
+    result[..., :-1] += later[:-1] * _later(along)
+    return result
 
 
-def _weights_of_rows(time_s: Array) -> Array:
-    """Half of the steps before and behind every row, (2, m), s."""
+def _weights_of_rows(time_s: Array) -> tuple[Array, Array]:
+    """What every row (m,) puts into the integral up to itself and up to later rows, s."""
     half = 0.5 * np.diff(time_s)
-    return np.stack([np.r_[0.0, half], np.r_[half, 0.0]])
+    own = np.r_[0.0, half]
+    return own, own + np.r_[half, 0.0]
 
 
 def _later(values: Array) -> Array:
-    """Sums (m − 1,) of values (m,) over later rows."""
-    return np.cumsum(values[:0:-1])[::-1]
+    """Sums (…, m − 1) of values (…, m) over later rows."""
+    return np.cumsum(values[..., :0:-1], axis=-1)[..., ::-1]
 
 
 def _integral(time_s: Array, values: Array) -> Array:
