@@ -236,11 +236,21 @@ def plain_steps(rows: PlainRows, couple: int, sampling: Sampling) -> list[PlainS
 
 def plain_pair(sampling: Sampling) -> float:
     """Variance of what a pair loses, at the reference and a share of 0.3, s²."""
-    _, rise, fall = sampling.pulse_reference_s
-    losses = [(fall - rise) * np.exp(-gap / fall) for gap in sampling.gaps_s]
-    mean = 0.3 * sum(losses) / len(losses)
-    square = 0.3 * sum(loss**2 for loss in losses) / len(losses)
-    return float(max(square - mean**2, 1e-12))
+    gaps, cycle_s = np.array(sampling.gaps_s), sampling.control_cycle_s
+    return max(plain_losses(gaps, cycle_s, sampling.pulse_reference_s, 0.3)[1], 1e-12)
+
+
+def plain_losses(
+    gaps_s: Array, cycle_s: float, tau: tuple[float, ...], close: float
+) -> tuple[float, float]:
+    """Mean, s, and variance, s², of what pairs within a second lose: sums over their gaps."""
+    even = (np.arange(20_000) + 0.5) / 20_000
+    later = gaps_s[:, None] + 0.5 * cycle_s
+    later = later + (1.0 - later) * even
+    near, far = ((tau[2] - tau[1]) * np.exp(-gap / tau[2]) for gap in (gaps_s, later))
+    mean = close * np.mean(near) + (1.0 - close) * np.mean(far)
+    square = close * np.mean((near - mean) ** 2) + (1.0 - close) * np.mean((far - mean) ** 2)
+    return float(mean), float(square)
 
 
 def plain_rows(
@@ -800,12 +810,10 @@ def _unknowns(
 
 
 def plain_lost(term: TelemetryTerm, tau: tuple[float, ...], close: float) -> tuple[float, float]:
-    """On-time that a pair loses, s: a sum over gaps, each as likely, with the chance of none."""
+    """On-time that a pair loses on average, and one standard deviation of it, s."""
     gaps = term.event.statistics.counters.gaps_s
-    losses = [(tau[2] - tau[1]) * np.exp(-gap / tau[2]) for gap in gaps]
-    mean = close * sum(losses) / len(losses)
-    square = sum(close / len(losses) * (loss - mean) ** 2 for loss in losses)
-    return float(mean), float(np.sqrt(square + (1.0 - close) * mean**2))
+    mean, square = plain_losses(gaps, term.event.sampling.control_cycle_s, tau, close)
+    return mean, float(np.sqrt(square))
 
 
 def plain_open(

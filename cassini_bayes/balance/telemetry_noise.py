@@ -235,7 +235,7 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     pulse = event.sampling.pulses.weights(physics.tau_s)
-    lost = lost_tails(gaps, rise, fall, share)
+    lost = lost_tails(gaps, event.sampling.control_cycle_s, rise, fall, share)
     if event.late is not None:
         lost = lost._replace(variance_s2=physics.late_factor * lost.variance_s2)
     return OpenScales(

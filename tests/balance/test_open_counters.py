@@ -13,7 +13,7 @@ from cassini_bayes.balance.open_counters import (
     step_patterns,
     step_variances,
 )
-from cassini_bayes.balance.statistics.columns import LostTails
+from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array
@@ -180,3 +180,28 @@ def test_errors_of_short_pulses_are_taken_back_as_far_as_slopes_are_alike(spread
     slow = ((independent.T @ cosine[:, :3]) ** 2).sum(axis=0).mean()
     simulated = ((late @ cosine[:, :3]) ** 2).mean()
     assert slow > (5.0 if spread_s == 0.0 else 1.2) * simulated
+
+
+@pytest.mark.parametrize("tau_fall_s", [0.05, 0.15])
+def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float) -> None:
+    """Pulses that fill control cycles, anywhere in a second: the closest pairs are one in seven.
+
+    Had the others nothing to lose, a tail of 150 ms would be cut by a third of what it is.
+    """
+    cycle_s, rise_s, pairs = 0.125, 0.02, 200_000
+    gaps = cycle_s * np.random.default_rng(20_261_126).integers(1, 8, pairs)
+    lost = (tau_fall_s - rise_s) * np.exp(-gaps / tau_fall_s)
+    rise, fall, share = np.array([rise_s]), np.array([tau_fall_s]), np.array([1.0 / 7.0])
+    found = lost_tails(np.array([cycle_s]), cycle_s, rise, fall, share)
+    # ends of the other gaps are between cycles: 7 % of what is lost there at 150 ms
+    assert found.mean_s[0] == pytest.approx(lost.mean(), rel=0.06)
+    assert found.variance_s2[0] == pytest.approx(lost.var(), rel=0.06)
+    closest = (tau_fall_s - rise_s) * np.exp(-cycle_s / tau_fall_s) / 7.0
+    assert (closest < 0.6 * lost.mean()) == (tau_fall_s > 0.1)
+
+
+def test_a_control_cycle_of_a_second_leaves_no_other_gaps() -> None:
+    """Pairs within a second are close there or none."""
+    tau = np.array([0.02]), np.array([0.2])
+    found = lost_tails(np.array([1.0]), 1.0, *tau, np.array([0.5]))
+    assert found.mean_s[0] == pytest.approx(0.5 * 0.18 * np.exp(-5.0))

@@ -141,7 +141,7 @@ class Sampling:
         """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
         rise, fall = (np.array([tau]) for tau in self.pulse_reference_s[1:])
         gaps = np.array(self.gaps_s or (self.control_cycle_s,))
-        lost = lost_tails(gaps, rise, fall, np.array([USUAL_SHARE]))
+        lost = lost_tails(gaps, self.control_cycle_s, rise, fall, np.array([USUAL_SHARE]))
         return max(float(lost.variance_s2[0]), LEAST_PAIR_S2)
 
     @cached_property
@@ -164,18 +164,29 @@ class LostTails(NamedTuple):
     variance_s2: Array
 
 
-def lost_tails(gaps_s: Array, rise_s: Array, fall_s: Array, share: Array) -> LostTails:
-    """What a pair loses that is close with the probability s, after one of the gaps (m,) seen.
+def lost_tails(
+    gaps_s: Array, cycle_s: float, rise_s: Array, fall_s: Array, share: Array
+) -> LostTails:
+    """What a pair within a second loses, that is close with the probability s.
 
     A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
-    x = exp(−gap/τ_f). With ⟨⟩ the mean over the gaps, a pair loses s (τ_f − τ_r) ⟨x⟩ on average,
-    with the variance (τ_f − τ_r)² (s ⟨x²⟩ − s² ⟨x⟩²); τ_r, τ_f and s are (n,).
+    x = exp(−gap/τ_f). A close pair has one of the gaps (m,) seen, any other one that is a control
+    cycle or more longer, up to a second, all as likely. With ⟨⟩ the mean over both, a pair loses
+    (τ_f − τ_r) ⟨x⟩ on average, with the variance (τ_f − τ_r)² (⟨x²⟩ − ⟨x⟩²); τ_r, τ_f and s are
+    (n,).
     """
     fall = np.maximum(fall_s, LEAST_FALL_S)
-    opens_at = np.exp(-gaps_s / fall[:, None])
-    mean, square = share * opens_at.mean(axis=1), share * (opens_at**2).mean(axis=1)
-    tail = fall - rise_s
-    return LostTails(tail * mean, tail**2 * np.maximum(square - mean**2, 0.0))
+    longer = gaps_s[gaps_s + 0.5 * cycle_s < ALIKE_S] + 0.5 * cycle_s
+
+    def opens_at(power: int) -> Array:
+        """⟨x^power⟩ (n,)."""
+        tau = fall[:, None] / power
+        close = np.exp(-gaps_s / tau).mean(axis=1)
+        later = tau * (np.exp(-longer / tau) - np.exp(-ALIKE_S / tau)) / (ALIKE_S - longer)
+        return np.asarray(share * close + (1.0 - share) * later.sum(axis=1) / len(gaps_s))
+
+    tail, mean = fall - rise_s, opens_at(1)
+    return LostTails(tail * mean, tail**2 * np.maximum(opens_at(2) - mean**2, 0.0))
 
 
 @dataclass(frozen=True)
