@@ -131,10 +131,10 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
         scales = open_scales(event, physics)
-        offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
+        own = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        longer = event.sampling.pulses.longer(physics.tau_s, offset)
-        pulse = scales.pulse_weights[:, None] + longer
+        longer = event.sampling.pulses.longer(physics.tau_s, own)
+        pulse = scales.pulse_weights[:, None] + longer - longer.mean(axis=1, keepdims=True)
         fired = arm[..., :, None] * pulse[:, :, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
         weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]

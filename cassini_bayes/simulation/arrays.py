@@ -107,7 +107,7 @@ def make_thrusters(plan: Plan) -> kernel.Thrusters:
         leak_start_s=plan.leak_start_s,
         parasitic_m=parasitic,
         start_delay_s=start - min(plan.impulse_offset_s, 0.0),
-        rise_end_delay_s=rise_end,
+        rise_end_delay_s=rise_end + max(plan.impulse_offset_s, 0.0),
         hold_end_delay_s=hold_end + max(plan.impulse_offset_s, 0.0),
         jump=jump,
         tau_rise_s=rise,

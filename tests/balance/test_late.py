@@ -42,31 +42,43 @@ INERTIAS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 
 
 @pytest.mark.parametrize(
-    ("rise", "fall"), [(0.02, 0.05), (0.015, 0.09), (0.025, 0.02), (0.02, 0.15), (0.02, 0.25)]
+    ("rise", "fall", "offset"),
+    [
+        (0.02, 0.05, 0.0),
+        (0.015, 0.09, 0.0),
+        (0.025, 0.02, 0.0),
+        (0.02, 0.15, 0.0),
+        (0.02, 0.25, 0.0),
+        (0.02, 0.02, 0.06),
+        (0.02, 0.09, 0.08),
+    ],
 )
-def test_what_is_late_is_that_of_pulses_at_any_time(rise: float, fall: float) -> None:
+def test_what_is_late_is_that_of_pulses_at_any_time(
+    rise: float, fall: float, offset: float
+) -> None:
     """Moments of pulses begun at random, each credit and impulse worked out by itself.
 
     Tails of several times the reference, too: taken as tails of 0.1 s they would have a tenth of
-    the variance at 0.25 s.
+    the variance at 0.25 s. And pulses that go on for longer than counters say.
     """
     rng, width, rate, past = np.random.default_rng(3), 0.125, 0.4, 2.4
     ages = rng.uniform(0.0, past, 4_000)  # of the last pulse; later than that nothing is late
     tau = (TAU_S[0], rise, fall)
-    whole = float(SHAPE.effective_time(width, *tau))
+    longer = width + offset
+    whole = float(SHAPE.effective_time(longer, *tau))
     curve = np.linspace(0.0, past, 48_001)
-    thrust = SHAPE.thrust_fraction(curve, width, *tau)
+    thrust = SHAPE.thrust_fraction(curve, longer, *tau)
     delivered = np.r_[0.0, np.cumsum(0.5 * (thrust[1:] + thrust[:-1]) * np.diff(curve))]
     late = np.minimum(ages, width) + whole - width - np.interp(ages, curve, delivered)
     some = rng.random(len(ages)) < rate * past
     found = late_pulses(SHAPE, TAU_S, width, np.array([rate, 0.0]))
-    variance = found.variance_s2(np.array([rise]), np.array([fall]))[0]
+    variance = found.variance_s2(np.array([rise]), np.array([fall]), np.array([offset]))[0]
     values = np.where(some, late, 0.0)
     error = np.sqrt(2.0 * (values**4).mean() / len(values))
     assert variance[0] == pytest.approx(values.var(), abs=4.0 * error)
     assert variance[1] == 0.0
     # a pulse of long ago has delivered all that it was credited with
-    impulse = quad(lambda t: float(SHAPE.thrust_fraction(t, width, *tau)), 0.0, past, limit=400)[0]
+    impulse = quad(lambda t: float(SHAPE.thrust_fraction(t, longer, *tau)), 0.0, past, limit=400)[0]
     assert whole == pytest.approx(impulse, rel=3e-4)
 
 

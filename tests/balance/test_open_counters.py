@@ -182,22 +182,26 @@ def test_errors_of_short_pulses_are_taken_back_as_far_as_slopes_are_alike(spread
     assert slow > (5.0 if spread_s == 0.0 else 1.2) * simulated
 
 
-@pytest.mark.parametrize("tau_fall_s", [0.05, 0.15])
-def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float) -> None:
+@pytest.mark.parametrize(
+    ("tau_fall_s", "offset_s"), [(0.05, 0.0), (0.15, 0.0), (0.05, 0.08), (0.05, 0.14)]
+)
+def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float, offset_s: float) -> None:
     """Pulses that fill control cycles, anywhere in a second: the closest pairs are one in seven.
 
-    Had the others nothing to lose, a tail of 150 ms would be cut by a third of what it is.
+    Had the others nothing to lose, a tail of 150 ms would be cut by a third of what it is. Pulses
+    that go on for longer leave shorter gaps, and lose what overlaps the next.
     """
     cycle_s, rise_s, pairs = 0.125, 0.02, 200_000
     gaps = cycle_s * np.random.default_rng(20_261_126).integers(1, 8, pairs)
-    lost = (tau_fall_s - rise_s) * np.exp(-gaps / tau_fall_s)
+    left = np.maximum(gaps - offset_s, 0.0)
+    lost = (tau_fall_s - rise_s) * np.exp(-left / tau_fall_s) + np.maximum(offset_s - gaps, 0.0)
     rise, fall, share = np.array([rise_s]), np.array([tau_fall_s]), np.array([1.0 / 7.0])
-    found = lost_tails(np.array([cycle_s]), cycle_s, rise, fall, share)
+    found = lost_tails(np.array([cycle_s]), cycle_s, rise, fall, share, np.array([offset_s]))
     # ends of the other gaps are between cycles: 7 % of what is lost there at 150 ms
     assert found.mean_s[0] == pytest.approx(lost.mean(), rel=0.06)
     assert found.variance_s2[0] == pytest.approx(lost.var(), rel=0.06)
     closest = (tau_fall_s - rise_s) * np.exp(-cycle_s / tau_fall_s) / 7.0
-    assert (closest < 0.6 * lost.mean()) == (tau_fall_s > 0.1)
+    assert (closest < 0.6 * lost.mean()) == (tau_fall_s > 0.1 or offset_s > 0.0)
 
 
 def test_a_control_cycle_of_a_second_leaves_no_other_gaps() -> None:

@@ -69,17 +69,19 @@ def test_a_pulse_that_follows_one_cycle_later_cuts_the_tail() -> None:
     assert 0.0 < 1.0 - both / (2 * single) < 0.01
 
 
-def test_an_offset_effect_adds_to_every_pulse() -> None:
-    """A pulse-shape offset c adds c times the level reached; without it, nothing (control)."""
-    plan = make_plan(impulse_offset_s=0.01)
-    thrusters = make_thrusters(plan)
-    on, width = np.array([0.0]), np.array([0.125])
+@pytest.mark.parametrize(("width_s", "offset_s"), [(0.125, 0.01), (0.016, 0.04), (0.125, -0.03)])
+def test_with_an_offset_every_pulse_goes_on_for_longer(width_s: float, offset_s: float) -> None:
+    """It gives what one of width w + c gives: a short pulse rises on, and gains more than c."""
+    thrusters = make_thrusters(make_plan(impulse_offset_s=offset_s))
+    on, width = np.array([0.0]), np.array([width_s])
     level = total = 0.0
     for i in range(200):
         level, gained = kernel.thrust_step(level, i * 0.005, 0.005, on, width, 1, thrusters)
         total += gained
-    plain = float(PULSE_SHAPES["first_order"].effective_time(0.125, *TAUS))
-    assert total - plain == pytest.approx(0.01, rel=3e-3)
+    shape = PULSE_SHAPES["first_order"]
+    plain, longer = (float(shape.effective_time(w, *TAUS)) for w in (width_s, width_s + offset_s))
+    assert total == pytest.approx(longer, rel=1e-6)
+    assert (abs(longer - plain) > 1.1 * abs(offset_s)) == (width_s < 0.1)
 
 
 def test_propellant_and_delta_v_follow_the_pulses_of_a_whole_event() -> None:

@@ -165,28 +165,38 @@ class LostTails(NamedTuple):
 
 
 def lost_tails(
-    gaps_s: Array, cycle_s: float, rise_s: Array, fall_s: Array, share: Array
+    gaps_s: Array,
+    cycle_s: float,
+    rise_s: Array,
+    fall_s: Array,
+    share: Array,
+    offset_s: Array | float = 0.0,
 ) -> LostTails:
     """What a pair within a second loses, that is close with the probability s.
 
     A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
     x = exp(−gap/τ_f). A close pair has one of the gaps (m,) seen, any other one that is a control
-    cycle or more longer, up to a second, all as likely. With ⟨⟩ the mean over both, a pair loses
-    (τ_f − τ_r) ⟨x⟩ on average, with the variance (τ_f − τ_r)² (⟨x²⟩ − ⟨x⟩²); τ_r, τ_f and s are
-    (n,).
+    cycle or more longer, up to a second, all as likely. A pulse that goes on for longer, by an
+    offset, shortens the gap, and of what overlaps one is lost. Means and variances are those over
+    all gaps; τ_r, τ_f, s and the offset are (n,).
     """
-    fall = np.maximum(fall_s, LEAST_FALL_S)
-    longer = gaps_s[gaps_s + 0.5 * cycle_s < ALIKE_S] + 0.5 * cycle_s
+    fall, usual = np.maximum(fall_s, LEAST_FALL_S)[:, None], gaps_s + 0.5 * cycle_s
+    offset = np.reshape(offset_s, (-1, 1))
+    left = np.maximum(gaps_s - offset, 0.0)
+    lost = (fall - rise_s[:, None]) * np.exp(-left / fall) + np.maximum(offset - gaps_s, 0.0)
+    others = usual < ALIKE_S
+    first, length = np.maximum(usual[others] - offset, 0.0), ALIKE_S - usual[others]
 
-    def opens_at(power: int) -> Array:
-        """⟨x^power⟩ (n,)."""
-        tau = fall[:, None] / power
-        close = np.exp(-gaps_s / tau).mean(axis=1)
-        later = tau * (np.exp(-longer / tau) - np.exp(-ALIKE_S / tau)) / (ALIKE_S - longer)
-        return np.asarray(share * close + (1.0 - share) * later.sum(axis=1) / len(gaps_s))
+    def later(power: int) -> Array:
+        """Mean (n,) of the power of x over the other gaps."""
+        tau = fall / power
+        opens_at = tau * (np.exp(-first / tau) - np.exp(-(first + length) / tau)) / length
+        return np.asarray(opens_at.sum(axis=1) / len(gaps_s))
 
-    tail, mean = fall - rise_s, opens_at(1)
-    return LostTails(tail * mean, tail**2 * np.maximum(opens_at(2) - mean**2, 0.0))
+    tail = fall[:, 0] - rise_s
+    mean = share * lost.mean(axis=1) + (1.0 - share) * tail * later(1)
+    square = share * (lost**2).mean(axis=1) + (1.0 - share) * tail**2 * later(2)
+    return LostTails(mean, np.maximum(square - mean**2, 0.0))
 
 
 @dataclass(frozen=True)

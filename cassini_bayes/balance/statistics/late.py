@@ -34,25 +34,38 @@ class LatePulses:
 
     ``coefficients`` (2, 12) are those of polynomials for ∫ ℓ da, s², and ∫ ℓ² da, s³, over the time
     since a pulse began, ℓ the on-time that it has still to deliver, in τ_rise and τ_fall over their
-    values ``reference_s``. ``rate_hz`` (G,) are the pulses of every couple per second.
+    values ``reference_s``. ``rate_hz`` (G,) are the pulses of every couple per second, ``width_s``
+    is their mean width.
     """
 
     coefficients: Array
     reference_s: tuple[float, float]
     rate_hz: Array
+    width_s: float
 
-    def variance_s2(self, rise_s: Array, fall_s: Array) -> Array:
+    def variance_s2(self, rise_s: Array, fall_s: Array, offset_s: Array | float = 0.0) -> Array:
         """Variance (n, G), s², of what is late of every couple, at time constants (n,).
 
         Of pulses that begin at any time, λ per second, λ ∫ℓ da is late on average, and its square
-        λ ∫ℓ² da (two pulses of a couple are not late at once).
+        λ ∫ℓ² da (two pulses of a couple are not late at once). A pulse of width w that goes on for
+        longer, by an offset o (n,), is late by o + τ_f until it should have ended, and by less
+        then: that adds o w + o²/2 + o τ_f, and w ((o + τ_f)² − τ_f²) + ((o + τ_f)³ − τ_f³)/3.
         """
         rise, fall = self.reference_s
         basis = _basis(
             np.clip(rise_s / rise, _RISES[0], _RISES[-1]),
             np.clip(fall_s / fall, _FALLS[0], _FALLS[-1]),
         )
-        mean, square = (np.multiply.outer(basis @ each, self.rate_hz) for each in self.coefficients)
+        longer = np.maximum(offset_s, 0.0)
+        whole = longer + fall_s
+        added = (
+            longer * (self.width_s + 0.5 * longer + fall_s),
+            self.width_s * (whole**2 - fall_s**2) + (whole**3 - fall_s**3) / 3.0,
+        )
+        mean, square = (
+            np.multiply.outer(basis @ each + more, self.rate_hz)
+            for each, more in zip(self.coefficients, added, strict=True)
+        )
         return np.asarray(np.maximum(square - mean**2, 0.0))
 
 
@@ -83,7 +96,7 @@ def late_pulses(
     late = np.minimum(age - width_s, 0.0) + shape.effective_time(width_s, *taus) - delivered
     moments = np.stack([trapezoid(late, age), trapezoid(late**2, age)], axis=1)
     fitted = np.linalg.lstsq(_basis(rises / rise, falls / fall), moments, rcond=None)[0]
-    return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz)
+    return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz, width_s)
 
 
 def _basis(rise: Array, fall: Array) -> Array:
