@@ -111,11 +111,11 @@ class OnTimeCase(Case[OnTimeHypothesis]):
         """Events that causes may begin with, and what they gain linearised about the baseline."""
         data, z = self.data, none.mode.point
 
-        def information() -> list[tuple[Array, Array]]:
+        def information(choose: Sequence[Effect]) -> list[tuple[Array, Array]]:
             fitted = linearised(data.printed_s, none.hypothesis.model, z)
             place = len(z) - data.thrusters
             added = []
-            for effect in effects:
+            for effect in choose:
                 tried = sizes_tried(effect)
                 same = np.tile(z, (len(tried), 1))
                 points = np.concatenate([same[:, :place], tried, same[:, place:]], axis=1)

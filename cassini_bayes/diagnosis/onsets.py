@@ -56,7 +56,8 @@ class Beginnings:
     """Some causes (C,) and the events (E,) that they may begin with, in order of time.
 
     ``gains`` (C, E) are what they gain by their linear model, at their best, from every event on,
-    and ``factors`` (C, E) its log Bayes factors against none of them, nats.
+    and ``factors`` (C, E) its log Bayes factors against none of them, nats. Those of ``throughout``
+    cannot begin later.
     """
 
     effects: tuple[Effect, ...]
@@ -64,6 +65,7 @@ class Beginnings:
     odds: Odds
     gains: Array
     factors: Array
+    throughout: tuple[Effect, ...] = ()
 
     @classmethod
     def of_information(
@@ -71,24 +73,26 @@ class Beginnings:
         effects: Sequence[Effect],
         order: Sequence[str],
         odds: Odds,
-        information: Callable[[], Sequence[tuple[Array, Array]]],
+        information: Callable[[Sequence[Effect]], Sequence[tuple[Array, Array]]],
     ) -> Beginnings:
         """Beginnings by what effects at :func:`sizes_tried` are told from every event on.
 
-        ``information`` (as :func:`information_from_each`) is asked where there is a choice.
+        ``information`` (as :func:`information_from_each`) is asked of those that have a choice.
         """
-        if len(order) < 2 or odds.throughout == 1.0 or not effects:
+        choose = tuple(effect for effect in effects if not effect.kind.throughout)
+        if len(order) < 2 or odds.throughout == 1.0 or not choose:
             nothing = np.zeros((len(effects), 1))
             return cls(tuple(effects), tuple(order[:1]), odds, nothing, nothing)
-        matrices = information()
-        ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in effects)])
+        matrices = information(choose)
+        ends = np.cumsum([0, *(len(sizes_tried(effect)) for effect in choose)])
         own = [
             [(matrix[a:c, a:c], vector[a:c]) for matrix, vector in matrices]
             for a, c in pairwise(ends)
         ]
         gains = np.array([[_gain(*one) for one in each] for each in own])
         factors = np.array([[log_bayes(*one) for one in each] for each in own])
-        return cls(tuple(effects), tuple(order), odds, gains, factors)
+        throughout = tuple(effect for effect in effects if effect.kind.throughout)
+        return cls(choose, tuple(order), odds, gains, factors, throughout)
 
     @classmethod
     def of(
@@ -102,17 +106,17 @@ class Beginnings:
         """Beginnings of causes beside a hypothesis with the mode z (d,), and what it leaves."""
         order = events.in_order
 
-        def information() -> list[tuple[Array, Array]]:
+        def information(choose: Sequence[Effect]) -> list[tuple[Array, Array]]:
             linear = None if remainder is None else remainder.linear
-            return linear_model(full, z, linear, effects, order)
+            return linear_model(full, z, linear, choose, order)
 
         return cls.of_information(effects, order, events.catalogue.odds, information)
 
     def likely(self) -> list[Effect]:
         """Every cause throughout, and from such events on as may come near the best."""
-        return [self._from(c, 0) for c in range(len(self.effects))] + self._later(
-            self._due(float(self.gains.max(initial=0.0)))
-        )
+        first = [self._from(c, 0) for c in range(len(self.effects))]
+        later = self._later(self._due(float(self.gains.max(initial=0.0))))
+        return [*first, *self.throughout, *later]
 
     def missed(self, gained: float) -> list[Effect]:
         """Further ones, where the best has gained less than its linear model says (nats)."""

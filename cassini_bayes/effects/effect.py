@@ -138,6 +138,8 @@ class Kind:
         Which measurement tells it from another kind, by the other's name.
     needs_quiet_rows
         Whether rows with late pulses cannot tell it: it is not weighed where events have them.
+    throughout
+        Whether it acts in all events if in any: what a rotor weighs does not change between two.
     """
 
     name: str
@@ -154,6 +156,7 @@ class Kind:
     says: Callable[[Sizes, str], str] | None = None
     separation: Mapping[str, str] = field(default_factory=dict)
     needs_quiet_rows: bool = False
+    throughout: bool = False
 
 
 @dataclass(frozen=True)

@@ -27,4 +27,5 @@ KIND: Final = Kind(
     separation={
         "inertia": "slews about several axes and a measured velocity change during a bias",
     },
+    throughout=True,
 )

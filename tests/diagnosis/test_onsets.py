@@ -13,6 +13,7 @@ from event_cases import document, eased, priors
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
@@ -30,7 +31,7 @@ from cassini_bayes.diagnosis.onsets import (
     without_event,
 )
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
-from cassini_bayes.effects.effect import onsets
+from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Odds, standard
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.posterior import log_posterior
@@ -228,7 +229,7 @@ def test_what_an_event_hardly_tells_gains_little() -> None:
     for total, own, wanted in ((0.01, 0.35, 0.0606), (400.0, 60.0, 4.4888)):
         one = (total * np.outer(at, at), own * at)
         odds = Odds(0.5, 0.45, 0.05, 0.5)
-        found = Beginnings.of_information(effects, ("a", "b"), odds, lambda one=one: [one, one])
+        found = Beginnings.of_information(effects, ("a", "b"), odds, lambda _, one=one: [one, one])
         assert found.gains == pytest.approx(np.full((1, 2), wanted), rel=1e-3)
     assert LEAST_GAIN < 0.5 * 0.35**2 / 0.01
 
@@ -246,6 +247,22 @@ def test_only_what_can_matter_is_searched() -> None:
     (further,) = beginnings.missed(70.0)
     assert further.onset is not None
     assert (further.name, further.onset.event) == (effects[0].name, "c")
+
+
+def test_what_a_rotor_weighs_does_not_change_between_events() -> None:
+    """`wheel_inertia` is looked for throughout alone, by its whole prior; control: a thrust."""
+    catalogue = prepare((), TOTALS_PRIORS, three()).catalogue
+    rotor, thrust = catalogue.effect("wheel_inertia:2"), catalogue.effect("thrust_scale")
+    at = np.array(SIZES)
+
+    def information(choose: Sequence[Effect]) -> list[tuple[Array, Array]]:
+        sizes = np.tile(at, len(choose))
+        return [(400.0 * np.outer(sizes, sizes), 90.0 * sizes)] * 2
+
+    odds = Odds(0.5, 0.45, 0.05, 0.5)
+    found = Beginnings.of_information((rotor, thrust), ("a", "b"), odds, information).likely()
+    assert [e for e in found if e.name == rotor.name] == [rotor]
+    assert [e.onset is None for e in found if e.name == thrust.name] == [True, False]
 
 
 def test_a_cause_that_does_nothing_any_more_is_no_beginning() -> None:
