@@ -165,23 +165,28 @@ def test_one_width_is_enough_for_long_pulses(shape: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "share"), [(0.09, 0.025), (0.01, 0.03), (-0.01, 0.04), (-0.03, 0.07)]
+    ("offset", "share"), [(0.09, 1e-4), (0.01, 1e-4), (-0.01, 0.003), (-0.03, 0.05)]
 )
 def test_longer_pulses_deliver_what_their_closed_form_says(offset: float, share: float) -> None:
     """Weights of an offset make columns of every width those of pulses that go on for longer.
 
-    Within a ``share`` of the offset, rms, where pulses have all widths from 15 ms on; a negative
-    one leaves nothing of shorter pulses. Control: a longer or shorter tail is half of it off, as
-    short pulses have hardly begun to thrust.
+    Within a ``share`` of the offset, rms, of all widths from 15 ms on: a ten-thousandth, but for
+    widths that are shorter than what a negative one takes. Controls: without the count of pulses
+    short ones are off by a twentieth of the offset and more; a longer or shorter tail is half of it
+    off, as short pulses have hardly begun to thrust.
     """
     shape, tau = PULSE_SHAPES["first_order"], (0.005, 0.02, 0.033)
     widths = np.geomspace(0.015, 0.25, 30)
     basis = PulseBasis(shape, REFERENCE, tuple(widths.tolist()))
     taus = tuple(np.array([value]) for value in tau)
-    gained = basis.columns(widths) @ basis.longer(taus, np.array([[offset]]))[0, 0]
+    *weights, count = basis.longer(taus, np.array([[offset]]))[0, 0]
+    gained = basis.columns(widths) @ weights + count
     left = np.maximum(widths + offset, 0.0)
     wanted = shape.effective_time(left, *tau) - shape.effective_time(widths, *tau)
     assert np.sqrt(np.mean((gained - wanted) ** 2)) < share * abs(offset)
+    columns = basis.columns(widths)
+    without = columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    assert np.abs(without - wanted).max() > 0.05 * abs(offset)
     tail = (tau[0], tau[1], tau[2] + offset)
     later = shape.effective_time(widths, *tail) - shape.effective_time(widths, *tau)
     assert np.abs(later - wanted).max() > 0.5 * abs(offset)
@@ -198,7 +203,8 @@ def test_weights_of_longer_pulses_have_no_edges() -> None:
     taus = tuple(np.array([value]) for value in REFERENCE)
     offsets = np.linspace(-0.06, 0.02, 401)
     weights = np.concatenate([basis.longer(taus, np.full((1, 1), o))[0] for o in offsets])
-    delivered = basis.columns(np.array([0.02, 0.05, 0.125])) @ weights.T
+    columns = np.c_[basis.columns(np.array([0.02, 0.05, 0.125])), np.ones(3)]
+    delivered = columns @ weights.T
     slopes = np.diff(delivered) / np.diff(offsets)
     jumps = np.abs(np.diff(slopes)).max(axis=1)
-    assert (jumps < 0.35 * np.ptp(slopes, axis=1)).all()
+    assert (jumps < 0.5 * np.ptp(slopes, axis=1)).all()

@@ -173,15 +173,15 @@ class PulseBasis:
         return result
 
     def longer(self, tau_s: Sequence[Array], offset_s: Array) -> Array:
-        """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K): (n, K, C).
+        """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K).
 
-        Those whose sum of columns is nearest to g(w + offset) − g(w), in least squares over widths
-        w of the event's pulses. A negative offset leaves nothing of pulses that are shorter. (A
-        count of pulses would have the body axes of the row that shows it; impulse turns with the
-        body after it was given.)
+        (n, K, C + 1) with that of a count of pulses last, s: those whose sum of columns is nearest
+        to g(w + offset) − g(w), in least squares over widths w of the event's pulses. A negative
+        offset leaves nothing of pulses that are shorter. (A count has the body axes of the row that
+        shows it, where impulse turns with the body after it was given: firing bodies hardly turn.)
         """
         if not offset_s.any():
-            return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
+            return np.zeros((*offset_s.shape, len(PULSE_COLUMNS) + 1))
         widths, fit = self._usual_widths
         own = [np.asarray(tau)[..., None, None] for tau in tau_s]
         moved = np.maximum(widths + offset_s[..., None], 0.0)
@@ -190,14 +190,16 @@ class PulseBasis:
 
     @cached_property
     def _usual_widths(self) -> tuple[Array, Array]:
-        """Widths (Q,) of pulses, of all kinds if the event's are not known, and weights (Q, C).
+        """Widths (Q,) of pulses, of all kinds if the event's are not known, and weights.
 
-        Values (Q,) at the widths times these are the weights of the columns nearest to them.
+        Values (Q,) at the widths times these (Q, C + 1) are the weights of the columns and the
+        count nearest to them.
         """
         widths = np.geomspace(WIDTHS_S[0], WIDTHS_S[-1], USUAL)
         if self.widths_s:
             widths = np.quantile(self.widths_s, np.linspace(0.0, 1.0, USUAL))
-        return widths, np.asarray(np.linalg.pinv(self.columns(widths), rcond=1e-6).T)
+        columns = np.concatenate([self.columns(widths), np.ones((USUAL, 1))], axis=1)
+        return widths, np.asarray(np.linalg.pinv(columns, rcond=1e-6).T)
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
