@@ -95,7 +95,6 @@ class Pattern:
     cut_pairs: Array  # (S,) pairs that may be close in what they stand for
     cut_unlike: Array  # (S, C, C) and what unlike pulses scatter in it, s²
     fired: Places  # (3 C K,) of C pulse columns
-    pulses: Places  # (K,) counts of them
     lost: Places  # (L,) tails that are cut on average
     lost_by: Places  # (L,) the thruster
     members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
@@ -384,12 +383,11 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         first = layout.fired.start + per_thruster * k
         couple = next(g for g, members in enumerate(layout.couples) if k in members)
         own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
-        count = layout.pulse_count.start + k
-        after = sum(map(len, entries)) + per_thruster + 1
+        after = sum(map(len, entries)) + per_thruster
         lost += [(after + i, k) for i in range(len(own))]
         added = _owned(layout, name)
         brought += [(after + len(own) + i, k, column) for i, column in enumerate(added)]
-        entries.append([*range(first, first + per_thruster), count, *own, *added.values()])
+        entries.append([*range(first, first + per_thruster), *own, *added.values()])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
     measured = [*range(layout.rate.start, layout.turn.stop)]
@@ -410,7 +408,6 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         cut_pairs=pairs,
         cut_unlike=unlike,
         fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
-        pulses=start[:thrusters] + per_thruster,
         lost=places[:, 0],
         lost_by=places[:, 1],
         members=members,

@@ -236,7 +236,7 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     offset = usual_offset(physics, n)
-    longer = event.sampling.pulses.longer(physics.tau_s, offset[:, None])[:, 0, :-1]
+    longer = event.sampling.pulses.longer(physics.tau_s, offset[:, None])[:, 0]
     pulse = event.sampling.pulses.weights(physics.tau_s) + longer
     lost = lost_tails(gaps, event.sampling.control_cycle_s, rise, fall, share, offset)
     if event.late is not None:

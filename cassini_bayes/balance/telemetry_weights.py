@@ -134,11 +134,9 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array
         own = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
         longer = event.sampling.pulses.longer(physics.tau_s, own)
-        longer, counted = longer[..., :-1], longer[..., -1:]
         pulse = scales.pulse_weights[:, None] + longer - longer.mean(axis=1, keepdims=True)
         fired = arm[..., :, None] * pulse[:, :, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
-        weights[:, pattern.pulses] = counted * arm
         weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]
         for entry, thruster, name in pattern.brought:
             if name in physics.extra:

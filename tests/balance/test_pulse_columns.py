@@ -59,11 +59,11 @@ def test_slopes_at_the_reference_are_not_enough() -> None:
 
 
 def test_rectangular_pulses_have_no_time_constants() -> None:
-    """Where nothing depends on the pulse parameters, the first column is all."""
+    """Where nothing depends on the pulse parameters, the first column is all, and the count is."""
     basis = PulseBasis(PULSE_SHAPES["rectangular"], REFERENCE)
     assert basis.columns(WIDTHS)[:, 0] == pytest.approx(WIDTHS)
-    assert basis.columns(WIDTHS)[:, 1:] == pytest.approx(0.0)
-    assert basis.weights(drawn_tau(3)) == pytest.approx(np.array([[1.0, 0.0, 0.0, 0.0]] * 3))
+    assert basis.columns(WIDTHS)[:, 1:-1] == pytest.approx(0.0)
+    assert basis.weights(drawn_tau(3)) == pytest.approx(np.array([[1.0, 0.0, 0.0, 0.0, 0.0]] * 3))
 
 
 def test_unlike_pulses_deliver_what_is_expected_of_them() -> None:
@@ -154,14 +154,14 @@ def test_one_width_is_enough_for_long_pulses(shape: str) -> None:
     long = PulseBasis(PULSE_SHAPES[shape], REFERENCE, (0.125,) * 8 + (0.25,) * 4)
     widths = np.array([0.125, 0.25, 0.5, 2.0])
     columns, weights = long.columns(widths), long.weights(tau)
-    assert not columns[:, 2:].any()
+    assert not columns[:, 2:-1].any()
     assert not weights[:, 2:].any()
     exact = PULSE_SHAPES[shape].effective_time(widths[:, None], *tau)
     rms = np.sqrt(((columns @ weights.T - exact) ** 2).mean(axis=1))
     assert rms[0] < 1e-12
     assert rms.max() < 1e-4
     mixed = PulseBasis(PULSE_SHAPES[shape], REFERENCE, (0.03,) + (0.125,) * 11)
-    assert mixed.columns(widths)[:, 2:].any()
+    assert mixed.columns(widths)[:, 2:-1].any()
 
 
 @pytest.mark.parametrize(
@@ -179,12 +179,11 @@ def test_longer_pulses_deliver_what_their_closed_form_says(offset: float, share:
     widths = np.geomspace(0.015, 0.25, 30)
     basis = PulseBasis(shape, REFERENCE, tuple(widths.tolist()))
     taus = tuple(np.array([value]) for value in tau)
-    *weights, count = basis.longer(taus, np.array([[offset]]))[0, 0]
-    gained = basis.columns(widths) @ weights + count
+    gained = basis.columns(widths) @ basis.longer(taus, np.array([[offset]]))[0, 0]
     left = np.maximum(widths + offset, 0.0)
     wanted = shape.effective_time(left, *tau) - shape.effective_time(widths, *tau)
     assert np.sqrt(np.mean((gained - wanted) ** 2)) < share * abs(offset)
-    columns = basis.columns(widths)
+    columns = basis.columns(widths)[:, :-1]
     without = columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
     assert np.abs(without - wanted).max() > 0.05 * abs(offset)
     tail = (tau[0], tau[1], tau[2] + offset)
@@ -203,8 +202,7 @@ def test_weights_of_longer_pulses_have_no_edges() -> None:
     taus = tuple(np.array([value]) for value in REFERENCE)
     offsets = np.linspace(-0.06, 0.02, 401)
     weights = np.concatenate([basis.longer(taus, np.full((1, 1), o))[0] for o in offsets])
-    columns = np.c_[basis.columns(np.array([0.02, 0.05, 0.125])), np.ones(3)]
-    delivered = columns @ weights.T
+    delivered = basis.columns(np.array([0.02, 0.05, 0.125])) @ weights.T
     slopes = np.diff(delivered) / np.diff(offsets)
     jumps = np.abs(np.diff(slopes)).max(axis=1)
     assert (jumps < 0.5 * np.ptp(slopes, axis=1)).all()

@@ -9,6 +9,7 @@ functions of τ. With g₀ that of the reference parameters, and few widths w_j,
 where the functions b_j are those that fit best, in least squares, over a range of τ_r and τ_f. That
 is exact at the reference and at the widths w_j. Over the priors of τ_r and τ_f any pulse
 is right within some 4e-5 s (rms); slopes at the reference leave 1e-3 s for a pulse of 15 ms.
+A last column is 1 for every pulse: pulses that go on for longer need it, all others leave it idle.
 (docs/topics/telemetry-likelihood.md §1)
 """
 
@@ -38,7 +39,7 @@ USUAL: Final = 24  # widths of pulses that weights of longer pulses are fitted o
 GRID_S: Final = 1e-3  # of sums of their widths, and by how much these may be off (one standard
 SMOOTH_S: Final = 1.5e-3  # deviation): commands are no exact sample of those seen elsewhere
 LEAST_CHANCE: Final = 1e-4  # of the likeliest sum: below it no widths of the event add up to it
-PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S))
+PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S), "count")
 # Multiples of the reference time constants at which the functions of the width are fitted: what
 # priors allow (two standard deviations are 0.25 of τ_rise and 0.8 of τ_fall), and beyond.
 _RISES: Final = np.linspace(0.6, 1.4, 9)
@@ -70,13 +71,15 @@ class PulseBasis:
         return np.array(WIDTHS_S)
 
     def columns(self, width_s: Array) -> Array:
-        """g₀ and b_j (…, 1 + J) at widths (…), s; zero for widths that are not needed."""
+        """g₀, b_j and 1 (…, C) at widths (…), s; zero for widths w_j that are not needed."""
         gained = self._gained(np.asarray(width_s)[..., None], *self._range)
         value = self.shape.effective_time(width_s, *self.reference_s)
-        return _filled(np.concatenate([value[..., None], gained @ self._fit], axis=-1))
+        columns = _filled(np.concatenate([value[..., None], gained @ self._fit], axis=-1))
+        columns[..., -1] = 1.0
+        return columns
 
     def expected_columns(self, mean_s: Array, count: Array) -> Array:
-        """Mean of the columns (R, 1 + J) of ``count`` (R,) pulses whose mean width is known, s.
+        """Mean of the columns (R, C) of ``count`` (R,) pulses whose mean width is known, s.
 
         The effective time is not linear in the width: short and long pulses deliver less than as
         many of their mean width. Of a few pulses the sum tells which widths they may have: those
@@ -173,15 +176,13 @@ class PulseBasis:
         return result
 
     def longer(self, tau_s: Sequence[Array], offset_s: Array) -> Array:
-        """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K).
+        """What weights gain if every pulse goes on for longer, by ``offset_s`` (n, K): (n, K, C).
 
-        (n, K, C + 1) with that of a count of pulses last, s: those whose sum of columns is nearest
-        to g(w + offset) − g(w), in least squares over widths w of the event's pulses. A negative
-        offset leaves nothing of pulses that are shorter. (A count has the body axes of the row that
-        shows it, where impulse turns with the body after it was given: firing bodies hardly turn.)
+        Those whose sum of columns is nearest to g(w + offset) − g(w), in least squares over widths
+        w of the event's pulses. A negative offset leaves nothing of pulses that are shorter.
         """
         if not offset_s.any():
-            return np.zeros((*offset_s.shape, len(PULSE_COLUMNS) + 1))
+            return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
         widths, fit = self._usual_widths
         own = [np.asarray(tau)[..., None, None] for tau in tau_s]
         moved = np.maximum(widths + offset_s[..., None], 0.0)
@@ -190,19 +191,17 @@ class PulseBasis:
 
     @cached_property
     def _usual_widths(self) -> tuple[Array, Array]:
-        """Widths (Q,) of pulses, of all kinds if the event's are not known, and weights.
+        """Widths (Q,) of pulses, of all kinds if the event's are not known, and weights (Q, C).
 
-        Values (Q,) at the widths times these (Q, C + 1) are the weights of the columns and the
-        count nearest to them.
+        Values (Q,) at the widths times these are the weights of the columns nearest to them.
         """
         widths = np.geomspace(WIDTHS_S[0], WIDTHS_S[-1], USUAL)
         if self.widths_s:
             widths = np.quantile(self.widths_s, np.linspace(0.0, 1.0, USUAL))
-        columns = np.concatenate([self.columns(widths), np.ones((USUAL, 1))], axis=1)
-        return widths, np.asarray(np.linalg.pinv(columns, rcond=1e-6).T)
+        return widths, np.asarray(np.linalg.pinv(self.columns(widths), rcond=1e-6).T)
 
     def weights(self, tau_s: Sequence[Array]) -> Array:
-        """1, and what pulses of the widths w_j gain, (…, 1 + J) at pulse parameters (…), s."""
+        """1, what pulses of the widths w_j gain, and 0, (…, C) at pulse parameters (…), s."""
         gained = self._gained(self.nodes_s, *(np.asarray(tau)[..., None] for tau in tau_s))
         return _filled(np.concatenate([np.ones_like(gained[..., :1]), gained], axis=-1))
 
@@ -232,7 +231,7 @@ class PulseBasis:
 
 
 def _filled(columns: Array) -> Array:
-    """All of :data:`PULSE_COLUMNS` (…, C), zero where there are fewer."""
+    """All of :data:`PULSE_COLUMNS` (…, C), zero where there are fewer widths, and the count."""
     missing = len(PULSE_COLUMNS) - columns.shape[-1]
     return np.concatenate([columns, np.zeros((*columns.shape[:-1], missing))], axis=-1)
 
