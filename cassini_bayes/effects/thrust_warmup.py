@@ -83,7 +83,7 @@ _FIT: Final = np.linalg.pinv(on_time_lost(FITTED_S[:, None], np.array(NODES_S)))
 def node_weights(time_constant_s: Array) -> Array:
     """Weights (n, nodes) of the columns at the nodes, for time constants (n,), s.
 
-    Least squares over :data:`FITTED_S`. On-times lost are right to 0.2 % of t_w, and to 25 ms.
+    Least squares over :data:`FITTED_S`. On-times lost are right to 0.2 % of t_w, and to 26 ms.
     """
     inside = np.clip(time_constant_s, LEAST_S, MOST_S)
     return np.asarray(on_time_lost(FITTED_S, inside[..., None]) @ _FIT.T)

@@ -1,4 +1,4 @@
-"""What the simulation flies is what the diagnosis believes: at the truth of every kind of effect
+"""What the simulation flies is what the diagnosis believes: at the truth of eleven kinds of effect
 the log density is below its maximum by what is expected of so many parameters, and no more.
 """
 
