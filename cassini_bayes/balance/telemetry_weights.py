@@ -133,8 +133,8 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array
         scales = open_scales(event, physics)
         own = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        longer = event.sampling.pulses.longer(physics.tau_s, own)
-        pulse = scales.pulse_weights[:, None] + longer - longer.mean(axis=1, keepdims=True)
+        pulses = event.sampling.pulses
+        pulse = pulses.weights(physics.tau_s)[..., None, :] + pulses.longer(physics.tau_s, own)
         fired = arm[..., :, None] * pulse[:, :, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
         weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]

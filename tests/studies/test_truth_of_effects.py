@@ -31,7 +31,6 @@ SHORT_PULSES = Condition(
     controller="widths adapted",
     noise="known",
 )
-"""Sizes by name; of departures from the truth, these."""
 HIDDEN = {
     "thrust_scale": {"thrust_factor": 0.85},
     "thruster_degraded:z3": {"thrust_factor": 0.8},
@@ -45,6 +44,7 @@ HIDDEN = {
     "inertia:yz": {"inertia_yz_kg_m2": 200.0},
     "rate_scale:z": {"rate_scale": 0.01},
 }
+"""Sizes by name; of a departure, by how much."""
 MORE_PULSE_S = 0.01
 
 
