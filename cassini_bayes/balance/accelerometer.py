@@ -41,8 +41,8 @@ _ALONG: Final = 2  # the body axis that is sensed
 class AccelerometerStatistics:
     """Inner products of the columns of one event's accelerometer readings.
 
-    Columns: per thruster its pulse columns and its pulse count (B of all), the constant, the time
-    since the first reading in s. ``gram`` (B + 2, B + 2), ``cross`` (B + 2,) with the counts,
+    Columns: per thruster its pulse columns (B of all), the constant, the time since the first
+    reading in s. ``gram`` (B + 2, B + 2), ``cross`` (B + 2,) with the counts,
     ``square`` their sum of squares; ``readings`` is how many stretches of one count there are.
     """
 

@@ -18,6 +18,7 @@ import numpy as np
 from cassini_bayes.balance.physics import DELTA_V_NOISE, Physics, delta_v_variance
 from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.errors import InputError
@@ -31,7 +32,7 @@ DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 class DeltaVStatistics:
     """Inner products of the columns of one event's measured velocity change.
 
-    Columns: per thruster its pulse columns and its pulse count (B of all), then the constant.
+    Columns: per thruster its pulse columns (B = K C of all), then the constant.
     ``gram`` (B + 1, B + 1), ``cross`` (B + 1, 3) with the measured ΔV, ``square`` its sum of
     squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
     """
@@ -45,7 +46,7 @@ class DeltaVStatistics:
 
     @property
     def centred_gram(self) -> Array:
-        """Inner products (4K, 4K) with the unknown constant eliminated."""
+        """Inner products (B, B) with the unknown constant eliminated."""
         gram, one = self.gram[:-1, :-1], self.gram[:-1, -1]
         return np.asarray(gram - np.outer(one, one) / self.rows)
 
@@ -100,15 +101,14 @@ def rows_at_rest(samples: Samples, measured: Flags, guard_s: float) -> Places:
 
 
 def on_time_columns(samples: Samples, rows: Places, sampling: Sampling) -> Array:
-    """Pulse columns and pulse counts of every thruster up to some rows, (R, B)."""
+    """Pulse columns of every thruster up to some rows, (R, B)."""
     counted = np.flatnonzero(samples.has_counters)
     time = samples.time_s[counted]
     on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
     gained = effective_increments(
         np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling.pulses.expected_columns
     )
-    columns = np.concatenate([gained, np.diff(pulses, axis=0)[..., None]], axis=2)
-    flat = columns.reshape(len(columns), -1)
+    flat = gained.reshape(len(gained), -1)
     total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])
     place = np.searchsorted(time, samples.time_s[rows] + 1e-6, side="right") - 1
     return np.asarray(total[place])
@@ -202,9 +202,8 @@ def delta_v_columns(
 
 def on_time_weights(sampling: Sampling, physics: Physics, n: int, k: int) -> Array:
     """Weights (n, K, B) that make each thruster's effective on-time out of the columns."""
-    pulse = sampling.pulses.weights(physics.tau_s)
     offset = np.broadcast_to(physics.impulse_offset_s, (n, k))
-    own = np.concatenate(
-        [np.broadcast_to(pulse[:, None], (n, k, pulse.shape[-1])), offset[..., None]], axis=-1
+    own = np.broadcast_to(
+        sampling.pulses.of_thrusters(physics.tau_s, offset), (n, k, len(PULSE_COLUMNS))
     )
     return np.asarray(own[:, :, None] * np.eye(k)[:, :, None]).reshape(n, k, -1)

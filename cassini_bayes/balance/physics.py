@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft import (
     Spacecraft,
     inertia_tensor,
@@ -23,6 +23,7 @@ from cassini_bayes.spacecraft import (
     wheel_inertias,
 )
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
+from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 
 Parameters = Mapping[str, Array | float]
 
@@ -39,9 +40,9 @@ DELTA_V_NOISE: Final = ("delta_v_noise_m_s", "delta_v_resolution_m_s")
 class Physics:
     """Quantities of the momentum balance; leading axes ``...`` are the batch of points.
 
-    A thruster's impulse is F_k (s_k + impulse_offset_k × pulses), in telemetry that of pulses that
-    go on for longer by the offset. ``thrust_factor`` is that of its level, about which F_k scatters
-    as its prior says (docs/topics/criticism.md §2). Measured rates are (1 + rate_scale) ω +
+    A thruster's impulse is F_k Σ g(w + impulse_offset_k) over its pulses of widths w: they go on
+    for longer than commanded. ``thrust_factor`` is that of its level, about which F_k scatters as
+    its prior says (docs/topics/criticism.md §2). Measured rates are (1 + rate_scale) ω +
     rate_bias. ``extra`` names further columns of telemetry (built by the same name in the
     reduction) with their weights in the momentum that goes in.
     """
@@ -54,7 +55,7 @@ class Physics:
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
     late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows, or cut there
     thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
-    impulse_offset_s: Array | float = 0.0  # (..., K) on-time added per pulse
+    impulse_offset_s: Array | float = 0.0  # (..., K) by which every pulse lasts longer
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
     rate_bias_rad_s: Array | float = 0.0  # (..., 3)
     rate_scale: Array | float = 0.0  # (..., 3)
@@ -113,14 +114,20 @@ def _rate_bias(parameters: Mapping[str, Array]) -> Array | float:
     return np.stack(np.broadcast_arrays(*(parameters[name] for name in names)), axis=-1)
 
 
-def physical_inertia(inertia: Array) -> Flags:
-    """Whether inertia tensors (..., 3, 3) can be those of a body, (...).
+def effective_on_times(
+    pulse_shape: PulseShape, physics: Physics, on_time_s: Array, pulses: Array
+) -> Array:
+    """Impulse over thrust of every thruster and event, (..., E, K) s, effects included.
 
-    Principal moments are positive and none exceeds the sum of the other two.
+    n g(u/n + o), with n pulses of the on-time u together, g the pulse shape's effective time and o
+    how much longer than commanded an effect makes each; nothing where u/n + o is negative.
+    ``on_time_s`` (s) and ``pulses`` (..., E, K).
     """
-    moments = np.linalg.eigvalsh(inertia)
-    positive = moments[..., 0] > 0.0
-    return np.asarray(positive & (moments[..., 2] <= moments[..., 0] + moments[..., 1]))
+    tau_s = (np.asarray(tau)[..., None, None] for tau in physics.tau_s)
+    if np.ndim(physics.impulse_offset_s):
+        longer = np.asarray(physics.impulse_offset_s)[..., None, :] * pulses
+        on_time_s = np.maximum(on_time_s + longer, 0.0)
+    return effective_on_time(pulse_shape, on_time_s, pulses, *tau_s)
 
 
 def delta_v_variance(parameters: Parameters) -> Array:

@@ -201,7 +201,7 @@ def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     factor = np.broadcast_to(physics.late_factor, (n,)) / event.statistics.counters.averaged
     torque = couple_torques(event, physics)
-    late_s2 = event.late.variance_s2(rise, fall, usual_offset(physics, n))
+    late_s2 = event.late.variance_s2(rise, fall, mean_offset(physics, n))
     scaled = torque * (factor[:, None] * late_s2)[:, None]
     return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
 
@@ -233,12 +233,12 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     if not event.fires:
         nothing = LostTails(np.zeros(n), np.zeros(n))
         return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
-    rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
+    tail = event.sampling.pulse_shape.tail_s(*physics.tau_s)
+    tail, fall = (np.broadcast_to(value, (n,)) for value in (tail, physics.tau_s[2]))
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
-    offset = usual_offset(physics, n)
-    longer = event.sampling.pulses.longer(physics.tau_s, offset[:, None])[:, 0]
-    pulse = event.sampling.pulses.weights(physics.tau_s) + longer
-    lost = lost_tails(gaps, event.sampling.control_cycle_s, rise, fall, share, offset)
+    offset = mean_offset(physics, n)
+    pulse = event.sampling.pulses.of_thrusters(physics.tau_s, offset[:, None])[:, 0]
+    lost = lost_tails(gaps, event.sampling.control_cycle_s, tail, fall, share, offset)
     if event.late is not None:
         lost = lost._replace(variance_s2=physics.late_factor * lost.variance_s2)
     return OpenScales(
@@ -246,7 +246,7 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     )
 
 
-def usual_offset(physics: Physics, n: int) -> Array:
+def mean_offset(physics: Physics, n: int) -> Array:
     """On-time (n,) added per pulse, s, on average of thrusters: for the size of noises."""
     of_all = np.broadcast_to(physics.impulse_offset_s, (n, physics.arms_m.shape[-1]))
     return np.asarray(of_all.mean(axis=1))

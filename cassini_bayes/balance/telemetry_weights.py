@@ -133,8 +133,7 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array
         scales = open_scales(event, physics)
         own = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
-        pulses = event.sampling.pulses
-        pulse = pulses.weights(physics.tau_s)[..., None, :] + pulses.longer(physics.tau_s, own)
+        pulse = event.sampling.pulses.of_thrusters(physics.tau_s, own)
         fired = arm[..., :, None] * pulse[:, :, None, :]
         weights[:, pattern.fired] = fired.reshape(n, -1, 1)
         weights[:, pattern.lost] = -scales.lost.mean_s[:, None, None] * arm[:, pattern.lost_by]

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.physics import Physics, delta_v_variance
+from cassini_bayes.balance.physics import Physics, delta_v_variance, effective_on_times
 from cassini_bayes.balance.totals_terms import (
     ResponseJacobian,
     TotalsStack,
@@ -25,7 +25,7 @@ from cassini_bayes.balance.totals_terms import (
     wheel_rounding_covariance,
 )
 from cassini_bayes.computing.arrays import Array, Flags, Places
-from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
+from cassini_bayes.spacecraft.pulses import PulseShape
 
 NOISE: Final = (
     "hold_rate_rad_s",
@@ -197,21 +197,6 @@ def totals_system(
         jacobian=response_jacobian(arms[..., None, :, :], stretch, stack.response, reference),
         reference_n=reference,
     )
-
-
-def effective_on_times(
-    pulse_shape: PulseShape, physics: Physics, on_time_s: Array, pulses: Array
-) -> Array:
-    """Impulse over thrust of every thruster and event, (..., E, K) s, effects included.
-
-    s_k + o_k × pulses, with s the pulse shape's effective on-time and o the on-time that an effect
-    adds to a pulse. on_time_s and pulses (..., E, K).
-    """
-    tau_s = (np.asarray(tau)[..., None, None] for tau in physics.tau_s)
-    effective = effective_on_time(pulse_shape, on_time_s, pulses, *tau_s)
-    if np.ndim(physics.impulse_offset_s):
-        effective = effective + np.asarray(physics.impulse_offset_s)[..., None, :] * pulses
-    return effective
 
 
 def steady_impulse(physics: Physics, duration_s: Array) -> Array | float:

@@ -43,7 +43,6 @@ class TotalsStack:
     wheel_start_rad_s: Array  # (E, W)
     wheel_end_rad_s: Array  # (E, W)
     wheel_is_prime: Flags  # (E, W)
-    wheel_is_used: Flags  # (W,) prime in some event
     duration_s: Array  # (E,)
     response: Array  # (E, K, 3) thrusters that answer a momentum demand about each axis
     couples: Array  # (G, K) indicator
@@ -113,7 +112,6 @@ def stack_events(
         wheel_start_rad_s=_frozen(start),
         wheel_end_rad_s=_frozen(end),
         wheel_is_prime=prime,
-        wheel_is_used=np.asarray(prime.any(0)),
         duration_s=_frozen([event.duration_s for event in events]),
         response=_frozen(response_directions(on_time, pair_indicator(spacecraft, branch))),
         couples=_frozen([[name in group for name in names] for group in groups]),

@@ -98,11 +98,20 @@ def deficit(z: Array, sd: float) -> Array:
 
 
 def pulse_ratio(
-    shape: PulseShape, widths_s: Array, counts: Array, rise_s: float, fall_s: Array
+    shape: PulseShape,
+    widths_s: Array,
+    counts: Array,
+    rise_s: float,
+    fall_s: Array,
+    offset_s: Array | float = 0.0,
 ) -> Array:
-    """Delivered over commanded impulse R (n,) of a set of pulses at tail-off times (n,)."""
-    fall = np.asarray(fall_s, dtype=np.float64)[..., None]
-    effective = shape.effective_time(widths_s, DELAY_S, rise_s, fall)
+    """Delivered over commanded impulse R (n,) of a set of pulses at tail-off times (n,), s.
+
+    ``offset_s`` (n,) is by how much every pulse lasts longer than commanded.
+    """
+    fall, offset = (np.asarray(value, dtype=np.float64)[..., None] for value in (fall_s, offset_s))
+    longer = np.maximum(widths_s + offset, 0.0)
+    effective = shape.effective_time(longer, DELAY_S, rise_s, fall)
     return np.asarray((effective * counts).sum(-1) / (widths_s @ counts))
 
 
@@ -252,8 +261,7 @@ class Estimates:
             return 1.0
         widths, counts = np.array(row.widths_s), np.array(row.pulses)
         fall, offset = parameters["tau_fall_s"], parameters["impulse_time_offset_s"]
-        ratio = pulse_ratio(PULSE_SHAPES[self.shape], widths, counts, self.rise_s, fall)
-        return np.asarray(ratio + offset * counts.sum() / (widths @ counts))
+        return pulse_ratio(PULSE_SHAPES[self.shape], widths, counts, self.rise_s, fall, offset)
 
     def hypothesis(self, name: str, prior_probability: float) -> EstimateHypothesis:
         """These priors as a hypothesis."""

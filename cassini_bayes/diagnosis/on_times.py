@@ -29,7 +29,7 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout, pair_layout, pair_solver
-from cassini_bayes.prediction.firing import CYCLE_S, Features, expected_minor
+from cassini_bayes.prediction.firing import Features, expected_minor
 from cassini_bayes.prediction.ground_software import (
     GroundInputs,
     ground_manager,
@@ -46,6 +46,7 @@ from cassini_bayes.prediction.wheel_profile import (
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import inertia_tensor
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -363,8 +364,9 @@ def _fly(
 def _per_second(data: OnTimes, physics: Physics) -> Array:
     """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
     rate = data.pulses_per_second
-    seconds = PULSE_SHAPES["first_order"].effective_time(1.0 / rate, *physics.tau_s)[..., None]
-    factor = rate * (seconds + np.asarray(physics.impulse_offset_s))
+    width = np.maximum(1.0 / rate + np.asarray(physics.impulse_offset_s), 0.0)
+    tau = (np.asarray(value)[..., None] for value in physics.tau_s)
+    factor = rate * PULSE_SHAPES["first_order"].effective_time(width, *tau)
     return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(data.thrusters))[:, None, :]
 
 
@@ -399,7 +401,7 @@ def _noise(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> A
     up, down = np.split(flown(np.tile(z, (2 * size, 1)), both).on_time_s, 2)
     columns = [*(0.5 * (up - down)), *_chance(data, flown, z)]
     slopes = np.stack(columns, axis=-1)
-    floor = CYCLE_S**2 + data.fixed["on_time_resolution_s"] ** 2 / 12.0
+    floor = CONTROL_CYCLE_S**2 + data.fixed["on_time_resolution_s"] ** 2 / 12.0
     return np.asarray(slopes @ np.swapaxes(slopes, -1, -2) + floor * np.eye(slopes.shape[1]))
 
 
@@ -412,7 +414,7 @@ def _chance(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> 
     """
     events = len(data.event_ids)
     nudge = np.zeros((3, events, 2))
-    nudge[1, :, 0] = nudge[2, :, 1] = CYCLE_S
+    nudge[1, :, 0] = nudge[2, :, 1] = CONTROL_CYCLE_S
     nudged = flown(np.tile(z, (3, 1)), Nudge(opposing_s=nudge))
     if nudged.fired is None:
         return []
@@ -420,9 +422,9 @@ def _chance(data: OnTimes, flown: Callable[[Array, Nudge], Flown], z: Array) -> 
     minor = nudged.fired.opposing_s[0]
     quantum, spread = middle["minor_quantum_s"], middle["event_spread"]
     sd = np.sqrt(quantum * minor + (spread * minor) ** 2)
-    slopes = (nudged.on_time_s[1:] - nudged.on_time_s[0]) / CYCLE_S
-    cycles = nudged.fired.common_s[0] / CYCLE_S
-    alone = CYCLE_S * np.sqrt(cycles + cycles**2 / middle["shared_shape"])
+    slopes = (nudged.on_time_s[1:] - nudged.on_time_s[0]) / CONTROL_CYCLE_S
+    cycles = nudged.fired.common_s[0] / CONTROL_CYCLE_S
+    alone = CONTROL_CYCLE_S * np.sqrt(cycles + cycles**2 / middle["shared_shape"])
     return [
         slopes[0] * sd[:, :1],
         slopes[1] * sd[:, 1:],

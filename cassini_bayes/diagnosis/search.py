@@ -33,8 +33,7 @@ ROUNDING: Final = 1e-6
 own, sums over a batch more. A Newton step of no gain is then no failure."""
 
 # How long the first search goes on. Judgement, kept where verdicts on two flights were the same
-# with and without the bounds: with a leak of 0.1 mN 4 of 49 causes go on to the second, where it
-# had been 44 (docs/results/diagnosis-campaigns.md).
+# with and without the bounds (docs/results/diagnosis-campaigns.md).
 NEAR_ROUNDS: Final = 9  # Newton steps: most causes need one or two
 NEAR_TURNS: Final = 3  # rounds in a row that only turn the axes along a ridge
 NEAR_LEFT: Final = 0.02  # nats that a last step predicts: below what Laplace's evidence is good to

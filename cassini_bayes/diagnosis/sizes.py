@@ -41,7 +41,8 @@ def size_draws(
             setting = effect.setting(model.spacecraft, model.branch)
             values |= effect.kind.drawn(setting, rng, len(z))
         for key, step in effect.kind.known_to.items():
-            values[key] = values[key] + rng.uniform(0.0, step, len(z))
+            known_to = model.spacecraft.control_cycle_s if step is None else step
+            values[key] = values[key] + rng.uniform(0.0, known_to, len(z))
     for effect in hypothesis.effects:
         for key, share in effect.form_error:
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))

@@ -123,7 +123,8 @@ class Kind:
         Draws (n,) of sizes, keys as ``report`` has them, that stand for those of the fit: of what a
         search has found and the fit, near one value of it, does not range over.
     known_to
-        How finely the data tell a size, by key: it is spread evenly over such a step more.
+        How finely the data tell a size, by key: it is spread evenly over such a step more. None
+        stands for the spacecraft's control cycle.
     left_open
         What counters leave open about it: columns (n, 3, s), N m s, one for every firing of some
         thrusters that only fire together, and the variances (s,) of their unknowns.
@@ -149,7 +150,7 @@ class Kind:
     reported: tuple[str, ...] = ()
     report: Callable[[Values, Setting], Values] | None = None
     drawn: Callable[[Setting, np.random.Generator, int], Values] | None = None
-    known_to: Mapping[str, float] = field(default_factory=dict)
+    known_to: Mapping[str, float | None] = field(default_factory=dict)
     left_open: Callable[[Firings, FittedRows, Values, Setting], tuple[Array, Array]] | None = None
     fire: Callable[[Controller, Values], Fired] | None = None
     doubt: Callable[[Printed, float], Mapping[str, Printed]] | None = None

@@ -1,4 +1,4 @@
-"""The impulse of a pulse does not follow the assumed closed form: an on-time per pulse more."""
+"""The impulse of a pulse does not follow the assumed closed form: every one lasts longer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OFFSET_SD_S: Final = 0.04
 
 
 def change(physics: Physics, _: Parameters, values: Values, __: Setting) -> Physics:
-    """The same on-time added to every pulse of every thruster."""
+    """Every pulse of every thruster goes on for longer by the same time."""
     offset = values["impulse_time_offset_s"]
     size = physics.arms_m.shape[-1]
     shift = np.broadcast_to(offset[..., None], (*offset.shape, size))
@@ -27,7 +27,7 @@ def change(physics: Physics, _: Parameters, values: Values, __: Setting) -> Phys
 
 
 def doubt(printed: Printed, width: float) -> Mapping[str, Printed]:
-    """An offset per pulse, where estimates have tails."""
+    """Pulses that last longer, where estimates have tails."""
     if not printed.is_pulsed:
         return {}
     return {KIND.name: replace(printed, offset_sd_s=OFFSET_SD_S * width)}
@@ -37,5 +37,5 @@ KIND: Final = Kind(
     "pulse_shape",
     change,
     doubt=doubt,
-    says=Clause("every pulse gives {0} of full thrust more than its closed form", (("ms", 1e3),)),
+    says=Clause("every pulse lasts {0} longer than its closed form has it", (("ms", 1e3),)),
 )

@@ -7,6 +7,7 @@ these that is nearest, in least squares, to the on-time that it loses.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Final
@@ -20,10 +21,11 @@ from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.wording import Clause
 
-NODES_S: Final = (0.53, 0.79, 1.62, 4.0, 9.86, 20.3, 30.4)
-"""Time constants that have columns: Chebyshev's in the logarithm between the prior's bounds."""
-LEAST_S: Final = 0.5  # time constants outside these bounds
-MOST_S: Final = 32.0  # are taken as the bounds
+LEAST_S: Final = 0.5  # time constants outside these bounds, which are
+MOST_S: Final = 32.0  # those of the catalogue's table, are taken as the bounds
+_AT: Final = np.cos(np.pi * (np.arange(7)[::-1] + 0.5) / 7)
+NODES_S: Final = tuple((math.sqrt(LEAST_S * MOST_S) * (MOST_S / LEAST_S) ** (0.5 * _AT)).tolist())
+"""Time constants that have columns: Chebyshev's in the logarithm between the bounds."""
 FITTED_S: Final = np.concatenate([[0.0], np.geomspace(0.02, 400.0, 80)])
 """On-times at which a sum of columns is nearest to a warm-up: from short pulses to warm beds."""
 

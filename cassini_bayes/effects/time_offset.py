@@ -19,7 +19,6 @@ from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Setting, Values
 from cassini_bayes.effects.firings import TAIL_S, Firings
 from cassini_bayes.effects.wording import Clause
-from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 OFFSETS_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Offsets that have columns (zero needs none): whole samples at 1 Hz, to the prior's bounds."""
@@ -98,13 +97,13 @@ def left_open(
 # Pulses start with control cycles, and rows with a pulse under way do not enter the balance: those
 # that do cannot tell records late by τ from records late by the whole cycles in τ. Where rows have
 # late pulses, these are late by some 0.05 to 0.1 s on average themselves, as far as a controller
-# likes: 3 of 21 flights with nothing hidden were called late.
+# likes.
 KIND: Final = Kind(
     "time_offset",
     change,
     columns=columns,
     left_open=left_open,
-    known_to={"time_offset_s": CONTROL_CYCLE_S},
+    known_to={"time_offset_s": None},
     says=Clause("thruster records are late by {0}", (("ms", 1e3),)),
     needs_quiet_rows=True,
 )

@@ -136,7 +136,7 @@ def _is_text(value: object) -> bool:
 
 
 def _is_step(value: object) -> bool:
-    return isinstance(value, int | float) and value >= 0
+    return value is None or (isinstance(value, int | float) and value >= 0)
 
 
 def _kind_line(path: Path) -> str:

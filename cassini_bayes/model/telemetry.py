@@ -37,6 +37,7 @@ from cassini_bayes.balance.physics import (
     Modifier,
     Physics,
     delta_v_variance,
+    effective_on_times,
     physics_of,
 )
 from cassini_bayes.balance.telemetry_balance import (
@@ -66,7 +67,6 @@ from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS
-from cassini_bayes.spacecraft.pulses import effective_on_time
 
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
@@ -270,16 +270,11 @@ class TelemetryAt:
         event, n = self.term.event, self.points.n
         if not event.fires:
             return np.zeros((n, 0, len(self.points.shared.thrust_prior.shared)))
-        on_time, pulses = np.array(event.reading.on_time_s), np.array(event.reading.pulses)
+        on_time, pulses = np.array([event.reading.on_time_s]), np.array([event.reading.pulses])
         fired = (on_time > 0) & (pulses > 0)
-        safe = np.where(fired, on_time, 1.0)
-        effective = effective_on_time(
-            event.sampling.pulse_shape,
-            safe,
-            np.where(fired, pulses, 1.0),
-            *(np.broadcast_to(tau, (n,))[:, None] for tau in self.physics.tau_s),
-        )
-        return np.where(fired, effective / safe, 1.0)[:, None]
+        effective = effective_on_times(event.sampling.pulse_shape, self.physics, on_time, pulses)
+        stretch = np.where(fired, effective / np.where(fired, on_time, 1.0), 1.0)
+        return np.broadcast_to(stretch, (n, *on_time.shape))
 
     def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
         """Initial momentum, torque and cut tails given the thrusts."""
@@ -343,14 +338,14 @@ class TelemetryAt:
         yield first, total
 
     def _count_slopes(self, statistics: AccelerometerStatistics) -> Array:
-        """Slopes (unknown, 4 K + 1) of the accelerometer's counts: walked, levels, departures."""
+        """Slopes (unknown, B + 1) of the accelerometer's counts: walked, levels, departures."""
         prior, given = self.points.shared.thrust_prior, self.points.parameters
         each, drift = count_columns(statistics, self.physics, self._directions, given)
         walked = slopes_of(prior.common_mean_n * each.sum(1) + drift)
         return np.concatenate([walked, prior.shared.T @ each[0], prior.departures.T @ each[0]])
 
     def _delta_v_columns(self, statistics: DeltaVStatistics) -> Array:
-        """Slopes (unknown, 3, 4 K) of the velocity change: walked, levels, departures."""
+        """Slopes (unknown, 3, B) of the velocity change: walked, levels, departures."""
         prior = self.points.shared.thrust_prior
         each = delta_v_columns(statistics, self.physics, self._directions, self.points.parameters)
         walked = slopes_of(prior.common_mean_n * each.sum(1))

@@ -26,11 +26,11 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.beliefs import FIRING, Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.priors.parameter_space import ParameterSpace
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 Parameters = Mapping[str, Array | float]
 
 NAMES: Final = tuple(FIRING)
-CYCLE_S: Final = 0.125
 LEAST_MINOR_S: Final = 0.005
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 _LOG_WEIGHTS: Final = np.log(_WEIGHTS / _WEIGHTS.sum())
@@ -69,7 +69,7 @@ def observe(on_time_s: Array, layout: PairLayout) -> Observation:
 
     With T_ij the ring's thrusters, i the sign about axis a and j about b: X = (Σ_j T_0j − T_1j)/2,
     Y likewise, v = surplus of the diagonal that holds the busiest thruster. Then
-    M_r = (Σ T/2 − |X| − |Y|)/2 + v/4 and N = v / 0.125 s.
+    M_r = (Σ T/2 − |X| − |Y|)/2 + v/4 and N = v over a control cycle.
     """
     ring = on_time_s[layout.ring]
     x, y = (ring[0] - ring[1]).sum() / 2.0, (ring[:, 0] - ring[:, 1]).sum() / 2.0
@@ -80,7 +80,7 @@ def observe(on_time_s: Array, layout: PairLayout) -> Observation:
     return Observation(
         minor_ring_s=max(float(minor), LEAST_MINOR_S),
         minor_couple_s=max(float(min(pairs)), LEAST_MINOR_S),
-        shared_cycles=round(alone / CYCLE_S),
+        shared_cycles=round(alone / CONTROL_CYCLE_S),
     )
 
 
@@ -161,7 +161,7 @@ def draw_firing(p: Parameters, f: Features, rng: np.random.Generator) -> FiringD
     k = np.asarray(p["shared_shape"])
     mean = np.asarray(p["shared_per_demand"]) * f.common_s
     cycles = rng.poisson(mean * rng.gamma(k, 1.0 / k, size=ring.shape))
-    return FiringDraws(minors[0], minors[1], np.asarray(CYCLE_S * cycles, dtype=np.float64))
+    return FiringDraws(minors[0], minors[1], np.asarray(CONTROL_CYCLE_S * cycles, dtype=np.float64))
 
 
 def mean_firing(p: Parameters, f: Features) -> FiringDraws:
@@ -170,5 +170,5 @@ def mean_firing(p: Parameters, f: Features) -> FiringDraws:
     return FiringDraws(
         ring + f.reversal_ring_s,
         couple + f.reversal_couple_s,
-        np.asarray(CYCLE_S * np.asarray(p["shared_per_demand"]) * f.common_s),
+        np.asarray(CONTROL_CYCLE_S * np.asarray(p["shared_per_demand"]) * f.common_s),
     )

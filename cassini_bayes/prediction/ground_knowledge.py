@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.totals_system import effective_on_times
+from cassini_bayes.balance.physics import effective_on_times
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model

@@ -86,7 +86,6 @@ class Learned:
     acceleration: Trend | None
     mass: Trend | None
     lateral_square: Array
-    first_epoch: datetime
     last_epoch: datetime
     effective_draws: float
 
@@ -140,7 +139,6 @@ def learn(
         acceleration=acceleration,
         mass=mass,
         lateral_square=lateral_variance(model, events, rng, size),
-        first_epoch=min(event.epoch for event in events),
         last_epoch=max(event.epoch for event in events),
         effective_draws=effective,
     )

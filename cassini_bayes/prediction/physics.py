@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.balance.physics import Modifier
+from cassini_bayes.balance.physics import Modifier, effective_on_times
 from cassini_bayes.balance.physics import Physics as BalancePhysics
-from cassini_bayes.balance.totals_system import NOISE, effective_on_times, steady_impulse
+from cassini_bayes.balance.totals_system import NOISE, steady_impulse
 from cassini_bayes.computing.arrays import Array, mapped
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups

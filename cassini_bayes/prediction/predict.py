@@ -9,7 +9,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from cassini_bayes.balance.totals_system import effective_on_times
+from cassini_bayes.balance.physics import effective_on_times
 from cassini_bayes.balance.totals_terms import (
     hold_attitude_covariance,
     hold_rate_covariance,

@@ -63,11 +63,16 @@ class PulseShape:
         """
         return self._fraction(*_floats(time_s, width_s, tau_delay_s, tau_rise_s, tau_fall_s))
 
+    def tail_s(self, tau_delay_s: ArrayLike, tau_rise_s: ArrayLike, tau_fall_s: ArrayLike) -> Array:
+        """On-time that a long pulse delivers beyond its width, in s: what an early command cuts."""
+        return self.effective_time(_LONG_S, tau_delay_s, tau_rise_s, tau_fall_s) - _LONG_S
+
 
 def _floats(*values: ArrayLike) -> tuple[Array, ...]:
     return tuple(np.asarray(value, dtype=np.float64) for value in values)
 
 
+_LONG_S: Final = 60.0  # width of a pulse whose thrust is steady, whatever the time constants
 # Below any time constant that means something, above what would overflow a quotient.
 _NO_TIME_S: Final = 1e-200
 

@@ -31,6 +31,7 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.mission.fitting import EarlierDraws, Losses, fit_mission, loss_prior
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 from cassini_bayes.studies.bias_estimates import bias_estimates
 from cassini_bayes.studies.interim_analyses import analyses
 from cassini_bayes.studies.repeated import Repeated
@@ -179,7 +180,7 @@ def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generat
     size, backwards = rng.uniform(0.7, 1.3), rng.uniform() < 0.5
     start, end = event.rwa_start_rpm * size, event.rwa_end_rpm * size
     on_time, pulses = size * (event.on_time_s + ROOM_S), np.asarray(event.pulses)
-    pulses = pulses + ROOM_S / 0.125
+    pulses = pulses + ROOM_S / CONTROL_CYCLE_S
     if backwards:
         start, end = end, start
         on_time, pulses = on_time[list(OPPOSITE)], pulses[list(OPPOSITE)]

@@ -319,3 +319,13 @@ def test_a_bias_without_rows_is_still_refused() -> None:
             sampling,
             prepared=found,
         )
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_firing_that_nothing_began_leaves_no_width() -> None:
+    """On-time without a counted pulse, and one row alone: no rate of pulses is made up."""
+    samples = ceaseless(100)
+    firing = replace(samples, pulses=np.zeros_like(samples.pulses))
+    for given in (firing, samples.part(0, 1)):
+        assert prepare([given], 0.125, 1.0).found.late.block_s == 0.0
+    assert prepare([samples], 0.125, 1.0).found.late.block_s > 0.0

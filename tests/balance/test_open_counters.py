@@ -195,8 +195,10 @@ def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float, offse
     gaps = cycle_s * np.random.default_rng(20_261_126).integers(1, 8, pairs)
     left = np.maximum(gaps - offset_s, 0.0)
     lost = (tau_fall_s - rise_s) * np.exp(-left / tau_fall_s) + np.maximum(offset_s - gaps, 0.0)
-    rise, fall, share = np.array([rise_s]), np.array([tau_fall_s]), np.array([1.0 / 7.0])
-    found = lost_tails(np.array([cycle_s]), cycle_s, rise, fall, share, np.array([offset_s]))
+    fall, share = np.array([tau_fall_s]), np.array([1.0 / 7.0])
+    found = lost_tails(
+        np.array([cycle_s]), cycle_s, fall - rise_s, fall, share, np.array([offset_s])
+    )
     # ends of the other gaps are between cycles: 7 % of what is lost there at 150 ms
     assert found.mean_s[0] == pytest.approx(lost.mean(), rel=0.06)
     assert found.variance_s2[0] == pytest.approx(lost.var(), rel=0.06)
@@ -206,6 +208,25 @@ def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float, offse
 
 def test_a_control_cycle_of_a_second_leaves_no_other_gaps() -> None:
     """Pairs within a second are close there or none."""
-    tau = np.array([0.02]), np.array([0.2])
-    found = lost_tails(np.array([1.0]), 1.0, *tau, np.array([0.5]))
+    tail, fall = np.array([0.18]), np.array([0.2])
+    found = lost_tails(np.array([1.0]), 1.0, tail, fall, np.array([0.5]))
     assert found.mean_s[0] == pytest.approx(0.5 * 0.18 * np.exp(-5.0))
+
+
+@pytest.mark.parametrize("offset_s", [0.02, 0.06, 0.16, 0.4, 1.2])
+def test_overlap_of_all_pairs_is_lost(offset_s: float) -> None:
+    """Pulses of 100 ms in cycles of 125 ms that go on for long: by quadrature over all gaps."""
+    cycle_s, gap_s, tail_s, fall_s, share = 0.125, 0.025, 0.03, 0.05, 1.0 / 7.0
+
+    def lost(gaps: Array) -> Array:
+        left, overlap = np.maximum(gaps - offset_s, 0.0), np.maximum(offset_s - gaps, 0.0)
+        return np.asarray(tail_s * np.exp(-left / fall_s) + overlap)
+
+    edges = np.linspace(gap_s + 0.5 * cycle_s, 1.0, 400_001)
+    others, close = lost(0.5 * (edges[1:] + edges[:-1])), lost(np.array([gap_s]))[0]
+    mean = share * close + (1.0 - share) * others.mean()
+    square = share * close**2 + (1.0 - share) * (others**2).mean()
+    given = (np.array([value]) for value in (tail_s, fall_s, share, offset_s))
+    found = lost_tails(np.array([gap_s]), cycle_s, *given)
+    assert found.mean_s[0] == pytest.approx(mean, rel=1e-9)
+    assert found.variance_s2[0] == pytest.approx(square - mean**2, rel=1e-8)

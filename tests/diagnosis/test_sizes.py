@@ -117,6 +117,20 @@ def test_a_control_cycle_is_left_open() -> None:
     assert kstest(added / CONTROL_CYCLE_S, "uniform").pvalue > 1e-3
 
 
+def test_the_cycle_that_is_left_open_is_that_of_the_spacecraft() -> None:
+    """With a control cycle twice as long, draws are spread twice as far."""
+    _, weighed = late_records()
+    hypothesis = weighed.hypothesis
+    slower = replace(hypothesis.model.spacecraft, control_cycle_s=2.0 * CONTROL_CYCLE_S)
+    other = replace(hypothesis, model=replace(hypothesis.model, spacecraft=slower))
+    ours, theirs = (
+        size_draws(replace(weighed, hypothesis=own), np.random.default_rng(3))[0][LATE]
+        for own in (hypothesis, other)
+    )
+    assert (theirs - ours).min() > 0.0
+    assert (theirs - ours).max() == pytest.approx(CONTROL_CYCLE_S, rel=0.01)
+
+
 def test_what_a_form_leaves_out_widens_its_sizes_alone() -> None:
     """A share of 30 % is in the draws, as wide as said; without it they are the same as before."""
     _, weighed = late_records()

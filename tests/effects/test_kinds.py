@@ -13,6 +13,7 @@ from cassini_bayes.balance.physics import physics_of
 from cassini_bayes.balance.statistics import RowContext, Samples, reduce_chunks
 from cassini_bayes.balance.statistics.columns import Carry, settle
 from cassini_bayes.effects.catalogue import read_catalogue
+from cassini_bayes.effects.pulse_shape import OFFSET_SD_S
 from cassini_bayes.effects.registry import KINDS, standard
 from cassini_bayes.effects.thrust_warmup import (
     LEAST_S,
@@ -223,3 +224,12 @@ def test_a_named_effect_is_caught() -> None:
     assert effect_names('if effect.kind.name == "flexible_mode": pass')
     assert effect_names('names = ["thruster_leak:z3"]')
     assert not effect_names('"""What a thruster_leak leaves."""')
+
+
+def test_figures_in_code_are_those_of_the_tables() -> None:
+    """Bounds of warm-ups and the size of an offset: columns and printed estimates need them."""
+    warmup, offset = CATALOGUE.effect("thrust_warmup"), CATALOGUE.effect("pulse_shape")
+    time = next(p for p in warmup.parameters if p.key == "warmup_time_s")
+    assert time.distribution.support == (LEAST_S, MOST_S)
+    assert offset.parameters[0].distribution.sd() == pytest.approx(OFFSET_SD_S)
+    assert LEAST_S < NODES_S[0] < NODES_S[-1] < MOST_S

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -35,9 +35,11 @@ from cassini_bayes.events.plausibility import (
 from cassini_bayes.events.plausibility.cells import CellSearch
 from cassini_bayes.events.plausibility.hypotheses import (
     LIKELIER,
+    SILENT,
     Evidence,
     Likelier,
     _is_sharp,
+    _lies_along,
     _of_shifts,
     by_evidence,
     likeliest,
@@ -55,6 +57,7 @@ from cassini_bayes.events.telemetry import (
     read_chunks,
     read_event,
 )
+from cassini_bayes.events.telemetry.channel_map import channel_map_of
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.pipeline.inputs import read_inputs
@@ -168,6 +171,45 @@ def test_a_mistake_is_named(
     error = refusal(kind, mistake)
     assert error.fix.rpartition("--accept ")[2] in TELEMETRY[mistake].names
     assert "telemetry.csv" in error.where
+
+
+@pytest.mark.parametrize(
+    ("left", "is_along"),
+    [((60.0, 0.0, 0.0), True), ((30.0, 10.0, 30.0), False), ((20.0, 20.0, 0.0), False)],
+)
+def test_a_channel_that_stands_still_is_stuck_only_if_the_misfit_is_along_it(
+    left: tuple[float, ...], is_along: bool
+) -> None:
+    """Without any axis some misfit is gone: of a wheel at rest that says nothing.
+
+    Six biases by another simulator with pulses of 20 to 125 ms: two had a misfit of 58 and 44, no
+    axis in particular, and were refused for a wheel that had ended its ramp.
+    """
+
+    class Shared:
+        """A misfit with parts along the three axes."""
+
+        def excess_across(self, axis: np.ndarray) -> float:
+            return float(np.sum(np.array(left) * (1.0 - axis**2)))
+
+    axis = np.array([1.0, 0.0, 0.0])
+    evidence = cast("Evidence", Shared())
+    assert _lies_along(evidence, axis, SILENT * evidence.excess_across(axis)) == is_along
+
+
+@pytest.mark.parametrize(("shift", "inverted"), [(1, True), (-1, False), (-1, True)])
+@pytest.mark.parametrize("kind", ["bias", "slew"])
+def test_a_scalar_in_the_wrong_place_of_a_channel_map_is_named(
+    honest: dict[str, Event], kind: str, shift: int, *, inverted: bool
+) -> None:
+    """With the direction right, the order wrong: no clock is blamed, and the map is pointed to."""
+    event, chunk = honest[kind]
+    inverse = np.array([-1.0, -1.0, -1.0, 1.0]) if inverted else np.ones(4)
+    read = replace(chunk, attitude=np.roll(chunk.attitude * inverse, shift, axis=1) * inverse)
+    mapped = replace(event, channels=channel_map_of({"channels": {}}, "own/channels.toml"))
+    with pytest.raises(InputError, match="quaternions that look scalar-") as caught:
+        check_telemetry(mapped, [read], CASSINI, NOMINAL)
+    assert "order or direction in own/channels.toml" in caught.value.fix
 
 
 def test_an_accepted_mistake_is_said(honest: dict[str, Event]) -> None:

@@ -18,7 +18,6 @@ from telemetry_cases import (
 
 from cassini_bayes.balance.bands import is_sparse, motion_table
 from cassini_bayes.balance.kernel import estimated_wheels
-from cassini_bayes.balance.physics import physical_inertia
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model, collapse, draw, log_likelihood, log_posterior
 from cassini_bayes.model.posterior import with_equal_bands_merged
@@ -271,13 +270,6 @@ def test_the_naive_balance_residual_pulls_inertia_down() -> None:
     naive = without_jacobian(model, shrunk)
     assert right[1] < right[0] - 5.0
     assert naive[1] - naive[0] > right[1] - right[0] + 20.0
-
-
-def test_inertia_is_physical_or_said_not_to_be() -> None:
-    """A tensor that breaks the triangle inequality is told apart from one that does not."""
-    good = np.diag([3.0, 4.0, 5.0])
-    bad = np.diag([1.0, 1.0, 3.0])
-    assert physical_inertia(np.stack([good, bad, -good])).tolist() == [True, False, False]
 
 
 def test_wheels_that_show_nothing_leave_the_density_finite() -> None:

@@ -15,7 +15,6 @@ from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.demand import pair_layout, pair_solver
 from cassini_bayes.prediction.firing import (
-    CYCLE_S,
     NAMES,
     Features,
     Observation,
@@ -40,6 +39,7 @@ from cassini_bayes.prediction.wheel_profile import (
     segments_rpm,
 )
 from cassini_bayes.spacecraft import load_spacecraft
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 from cassini_bayes.spacecraft.pulses import effective_on_time
 
 MANAGER = WheelManager({1: 0.562, 2: 0.5585, 4: 0.5585}, 16.5)
@@ -149,7 +149,7 @@ def test_lesser_sides_are_read_off_the_totals(
     seen = observe(on_times_from(x, y, alone), pair_layout(model().spacecraft, "B"))
     assert seen.minor_ring_s == pytest.approx(0.9)
     assert seen.minor_couple_s == pytest.approx(0.5)
-    assert seen.shared_cycles == round(alone / CYCLE_S)
+    assert seen.shared_cycles == round(alone / CONTROL_CYCLE_S)
 
 
 def plain_features() -> Features:
@@ -186,7 +186,7 @@ def test_draws_have_the_stated_means() -> None:
     for values, mean in (
         (drawn.minor_ring_s, ring[0] + 0.3),
         (drawn.minor_couple_s, couple[0] + 0.1),
-        (drawn.shared_s, CYCLE_S * 2.1),
+        (drawn.shared_s, CONTROL_CYCLE_S * 2.1),
     ):
         assert abs(values.mean() - mean) < 5.0 * values.std() / np.sqrt(n)
 
@@ -240,7 +240,7 @@ def test_the_firing_logic_is_calibrated_on_its_own_events() -> None:
                 Observation(
                     max(float(drawn.minor_ring_s[0]), 1e-3),
                     max(float(drawn.minor_couple_s[0]), 1e-3),
-                    round(float(drawn.shared_s[0]) / CYCLE_S),
+                    round(float(drawn.shared_s[0]) / CONTROL_CYCLE_S),
                 )
             )
         found, _, effective = joint_draws(base, seen, beliefs(), rng, 1, 200, pairings=4_000)

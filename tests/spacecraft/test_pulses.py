@@ -289,6 +289,15 @@ def test_everything_broadcasts(shape: PulseShape) -> None:
     assert curve.shape == (6, 3, 4, 5)
 
 
+@every_shape
+def test_a_tail_is_what_one_command_less_costs(shape: PulseShape) -> None:
+    """Two long pulses that become one lose a tail; instantaneous thrust has none."""
+    alone, merged = (float(shape.effective_time(w, *MANUFACTURER)) for w in (5.0, 10.0))
+    tail = float(shape.tail_s(*MANUFACTURER))
+    assert tail == pytest.approx(2.0 * alone - merged, abs=1e-12)
+    assert (tail == 0.0) == (shape.name == "rectangular")
+
+
 def test_no_pulse_no_impulse() -> None:
     """Zero pulses give zero whatever the shape adds per pulse, without a warning."""
     for shape in PULSE_SHAPES.values():

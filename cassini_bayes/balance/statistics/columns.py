@@ -139,9 +139,10 @@ class Sampling:
     @cached_property
     def pair_s2(self) -> float:
         """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
-        rise, fall = (np.array([tau]) for tau in self.pulse_reference_s[1:])
         gaps = np.array(self.gaps_s or (self.control_cycle_s,))
-        lost = lost_tails(gaps, self.control_cycle_s, rise, fall, np.array([USUAL_SHARE]))
+        tail, fall = self.pulse_shape.tail_s(*self.pulse_reference_s), self.pulse_reference_s[2]
+        given = (np.array([value]) for value in (tail, fall, USUAL_SHARE))
+        lost = lost_tails(gaps, self.control_cycle_s, *given)
         return max(float(lost.variance_s2[0]), LEAST_PAIR_S2)
 
     @cached_property
@@ -167,35 +168,37 @@ class LostTails(NamedTuple):
 def lost_tails(
     gaps_s: Array,
     cycle_s: float,
-    rise_s: Array,
+    tail_s: Array,
     fall_s: Array,
     share: Array,
     offset_s: Array | float = 0.0,
 ) -> LostTails:
     """What a pair within a second loses, that is close with the probability s.
 
-    A first-order valve that opens at thrust x F loses (τ_f − τ_r) x of impulse over F, with
-    x = exp(−gap/τ_f). A close pair has one of the gaps (m,) seen, any other one that is a control
-    cycle or more longer, up to a second, all as likely. A pulse that goes on for longer, by an
-    offset, shortens the gap, and of what overlaps one is lost. Means and variances are those over
-    all gaps; τ_r, τ_f, s and the offset are (n,).
+    A valve that opens again at thrust x F loses x of a pulse's tail (:meth:`.PulseShape.tail_s`;
+    τ_f − τ_r of a first-order valve), with x = exp(−gap/τ_f). A close pair has one of the gaps (m,)
+    seen, any other one that is half a control cycle or more longer, up to a second, all as likely.
+    A pulse that goes on for longer, by an offset, shortens the gap, and what overlaps is lost as
+    well, y = offset − gap. Means and variances are those over all gaps. Gaps, the cycle and time
+    constants are in s; tails, τ_f, s and the offset are (n,).
     """
     fall, usual = np.maximum(fall_s, LEAST_FALL_S)[:, None], gaps_s + 0.5 * cycle_s
-    offset = np.reshape(offset_s, (-1, 1))
-    left = np.maximum(gaps_s - offset, 0.0)
-    lost = (fall - rise_s[:, None]) * np.exp(-left / fall) + np.maximum(offset - gaps_s, 0.0)
-    others = usual < ALIKE_S
-    first, length = np.maximum(usual[others] - offset, 0.0), ALIKE_S - usual[others]
+    tail, offset = tail_s[:, None], np.reshape(offset_s, (-1, 1))
+    left, overlap = np.maximum(gaps_s - offset, 0.0), np.maximum(offset - gaps_s, 0.0)
+    lost = tail * np.exp(-left / fall) + overlap
+    usual = usual[usual < ALIKE_S]
+    first, last = np.maximum(usual - offset, 0.0), np.maximum(ALIKE_S - offset, 0.0)
+    most, least = np.maximum(offset - usual, 0.0), np.maximum(offset - ALIKE_S, 0.0)
 
     def later(power: int) -> Array:
-        """Mean (n,) of the power of x over the other gaps."""
-        tau = fall / power
-        opens_at = tau * (np.exp(-first / tau) - np.exp(-(first + length) / tau)) / length
-        return np.asarray(opens_at.sum(axis=1) / len(gaps_s))
+        """Mean (n,) over the other gaps of the power of what is lost: tail x, or tail + y."""
+        tau, next_power = fall / power, power + 1
+        cut = tail**power * tau * (np.exp(-first / tau) - np.exp(-last / tau))
+        covered = ((tail + most) ** next_power - (tail + least) ** next_power) / next_power
+        return np.asarray(((cut + covered) / (ALIKE_S - usual)).sum(axis=1) / len(gaps_s))
 
-    tail = fall[:, 0] - rise_s
-    mean = share * lost.mean(axis=1) + (1.0 - share) * tail * later(1)
-    square = share * (lost**2).mean(axis=1) + (1.0 - share) * tail**2 * later(2)
+    mean = share * lost.mean(axis=1) + (1.0 - share) * later(1)
+    square = share * (lost**2).mean(axis=1) + (1.0 - share) * later(2)
     return LostTails(mean, np.maximum(square - mean**2, 0.0))
 
 
@@ -235,7 +238,6 @@ class Layout:
                 for couple in self.couples
                 for part in ("mean", *range(CUT_PARTS))
             ),
-            *(f"pulses:{name}" for name in self.thrusters),
             *self.extra,
         )
 
@@ -290,14 +292,9 @@ class Layout:
         return slice(self.turn.stop, self.turn.stop + CUT_COLUMNS * len(self.couples))
 
     @property
-    def pulse_count(self) -> slice:
-        """Pulses of every thruster so far."""
-        return slice(self.cut.stop, self.cut.stop + len(self.thrusters))
-
-    @property
     def extra_place(self) -> slice:
         """Columns that effects brought."""
-        return slice(self.pulse_count.stop, self.size)
+        return slice(self.cut.stop, self.size)
 
 
 def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Sampling) -> Layout:
@@ -373,11 +370,12 @@ class Carry:
 
 @dataclass(frozen=True)
 class Rows:
-    """Columns at the rows that enter the balance."""
+    """Columns at the rows that enter the balance, and the pulses so far."""
 
     time_s: Array  # (n,)
     vector: Array  # (n, 3, V) component, column
     scalar: Array  # (n, S)
+    pulses: Array  # (n, K)
     cosines: Array  # (n, 3, 3) inertial to body
 
     def part(self, places: slice) -> Rows:
@@ -395,9 +393,11 @@ class Rows:
         count = np.diff(first, append=len(block))
         vector = np.add.reduceat(self.vector, first, axis=0) / count[:, None, None]
         scalar = np.add.reduceat(self.scalar, first, axis=0) / count[:, None]
-        middle, full = first + count // 2, 2.0 * count >= np.median(count)
+        pulses = np.add.reduceat(self.pulses, first, axis=0) / count[:, None]
+        full = 2.0 * count >= np.median(count)
+        middle = (first + count // 2)[full]
         return Rows(
-            self.time_s[middle[full]], vector[full], scalar[full], self.cosines[middle[full]]
+            self.time_s[middle], vector[full], scalar[full], pulses[full], self.cosines[middle]
         )
 
     @staticmethod
@@ -456,8 +456,9 @@ def settle(
 
 
 def _no_rows(layout: Layout) -> Rows:
-    scalars = np.empty((0, len(layout.scalar)))
-    return Rows(np.empty(0), np.empty((0, 3, len(layout.vector))), scalars, np.empty((0, 3, 3)))
+    vectors, scalars = np.empty((0, 3, len(layout.vector))), np.empty((0, len(layout.scalar)))
+    pulses = np.empty((0, len(layout.thrusters)))
+    return Rows(np.empty(0), vectors, scalars, pulses, np.empty((0, 3, 3)))
 
 
 def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> tuple[Rows, Carry]:
@@ -506,7 +507,6 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
             context.wheel_rad_s,
             np.zeros((n, 3)),
             cuts[index],
-            context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0)),
             *(extra.values(context)[:, None] for extra in sampling.extra),
         ],
         axis=1,
@@ -518,7 +518,8 @@ def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> 
         last_attitude=attitude[-1],
         torque=torque[-1],
     )
-    return Rows(time[keep], vector, scalar, body), after
+    pulses = context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0))
+    return Rows(time[keep], vector, scalar, pulses, body), after
 
 
 def cosines(time_s: Array, duration_s: float, count: int) -> Array:

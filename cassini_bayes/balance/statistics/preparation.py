@@ -119,9 +119,12 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     of_rows = quiet_rows(rows.time_s, read, counters, guard_s)
     stretch = np.where(of_rows, np.searchsorted(read, rows.time_s), -1)
     noise = channel_noise(rows, stretch, *astuple(steps))
-    late = LateRows()
-    if quiet * complete.stride < LEAST_QUIET * len(at_readings.values) * at_readings.stride:
-        gained, begun = expected.on_time_s[-1] - expected.on_time_s[0], pulses[-1] - pulses[0]
+    late, begun = LateRows(), pulses[-1] - pulses[0]
+    hardly_quiet = (
+        quiet * complete.stride < LEAST_QUIET * len(at_readings.values) * at_readings.stride
+    )
+    if hardly_quiet and begun.any():
+        gained = expected.on_time_s[-1] - expected.on_time_s[0]
         width = float(gained.sum() / begun.sum())
         late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
         are_cycles = are_quantised(on_time, pulses, step_s, control_cycle_s)

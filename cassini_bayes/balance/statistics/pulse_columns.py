@@ -200,6 +200,10 @@ class PulseBasis:
             widths = np.quantile(self.widths_s, np.linspace(0.0, 1.0, USUAL))
         return widths, np.asarray(np.linalg.pinv(self.columns(widths), rcond=1e-6).T)
 
+    def of_thrusters(self, tau_s: Sequence[Array], offset_s: Array) -> Array:
+        """Weights (n, K, C), at τ (n,), of pulses longer by ``offset_s`` (n, K); times in s."""
+        return np.asarray(self.weights(tau_s)[..., None, :] + self.longer(tau_s, offset_s))
+
     def weights(self, tau_s: Sequence[Array]) -> Array:
         """1, what pulses of the widths w_j gain, and 0, (…, C) at pulse parameters (…), s."""
         gained = self._gained(self.nodes_s, *(np.asarray(tau)[..., None] for tau in tau_s))

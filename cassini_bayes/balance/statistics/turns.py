@@ -219,9 +219,7 @@ def turns_between(cosines: Array) -> Array:
 
 def piece_breaks(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     """Whether a piece ends between a row and the next, (n − 1,): a firing, a gap, a corner."""
-    vectors = rows.vector.shape[2]
-    pulses = rows.scalar[:, layout.pulse_count.start - vectors : layout.pulse_count.stop - vectors]
-    fired = np.any(np.diff(pulses, axis=0) != 0.0, axis=1)
+    fired = np.any(np.diff(rows.pulses, axis=0) != 0.0, axis=1)
     return np.asarray(
         fired | (np.diff(rows.time_s) > GAP * rule.usual_s) | _corners(rows, layout, rule)
     )

@@ -39,5 +39,14 @@ CONVENTIONS: Final[Mapping[str, Callable[[Array], Array]]] = {
     "body → J2000": lambda attitude: attitude * _CONJUGATE,
     "scalar-first": lambda attitude: np.roll(attitude, -1, axis=1),
     "scalar-first and body → J2000": lambda attitude: np.roll(attitude, -1, axis=1) * _CONJUGATE,
+    "scalar-first, inverted as scalar-last": lambda attitude: _inverted_before(attitude, -1),
+    "scalar-last, read as scalar-first": lambda attitude: np.roll(attitude, 1, axis=1),
+    "scalar-last, inverted as scalar-first": lambda attitude: _inverted_before(attitude, 1),
 }
-"""What makes ours of attitudes (n, 4) that a file has in another convention."""
+"""What makes ours of attitudes (n, 4) that a file has in another convention. The last three come
+from a channel map whose order is wrong, and its direction right."""
+
+
+def _inverted_before(attitude: Array, shift: int) -> Array:
+    """Attitudes (n, 4) inverted again, columns moved by a shift, and inverted."""
+    return np.asarray(np.roll(attitude * _CONJUGATE, shift, axis=1) * _CONJUGATE)

@@ -123,7 +123,8 @@ class TelemetryCheck:
             A mistake explains what physics does not, or the balance of momentum stays wide open.
             The message names the mistake that explains it best, and what would as well.
         """
-        findings = Findings(self._policy)
+        channels = self._event.channels
+        findings = Findings(self._policy, channels.where if channels is not None else "")
         self._check_pulses(findings)
         rows, motion = self._rows.rows(), self._rows.motion()
         if motion is not None:

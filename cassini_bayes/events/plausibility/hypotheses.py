@@ -397,8 +397,10 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
         else:
             continue
         what, fix = f"a column rwa{number}_rpm that {what}", f"give the rate of wheel {number}"
-        left = SILENT * evidence.excess_across(nominal.spins[:, w]) + evidence.turned()
-        yield Explanation("wheel-silent", what, fix, left, ORDER_PRICE)
+        excess = SILENT * evidence.excess_across(nominal.spins[:, w])
+        if _lies_along(evidence, nominal.spins[:, w], excess):
+            left = excess + evidence.turned()
+            yield Explanation("wheel-silent", what, fix, left, ORDER_PRICE)
     for axis in range(3):
         stood_s = _stood_still_s(rows.time_s, rows.rate_rad_s[:, axis])
         if stood_s > long_s:
@@ -408,6 +410,16 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
             what = f"a column rate_{AXES[axis]}_rad_s that stands still for {stood_s:.4g} s"
             fix = "give the body rate about that axis"
             yield Explanation("rate-silent", what, fix, left, ORDER_PRICE)
+
+
+def _lies_along(evidence: Evidence, axis: Array, excess: float) -> bool:
+    """Whether what is wrong with the momentum is along an axis (3,), across which ``excess`` is.
+
+    Any axis less is a third of the rows less, and something of a misfit goes with it. Both axes at
+    right angles have to leave more, by as much as a mistake has to explain.
+    """
+    others = np.linalg.svd(axis[None])[2][1:]
+    return min(evidence.excess_across(other) for other in others) >= excess + LEAST_GAIN
 
 
 def _stood_still_s(time_s: Array, values: Array) -> float:

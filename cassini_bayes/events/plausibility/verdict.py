@@ -120,9 +120,13 @@ class Explanation:
 
 @dataclass
 class Findings:
-    """What a policy did not refuse but has to be said, in sentences."""
+    """What a policy did not refuse but has to be said, in sentences.
+
+    ``mapped_by`` is the channel map that the columns come from, if they do.
+    """
 
     policy: Policy
+    mapped_by: str = ""
     sentences: list[str] = field(default_factory=list)
 
     def refuse(
@@ -142,6 +146,8 @@ class Findings:
             It was not; ``others`` explain the data as well.
         """
         if mistake not in self.policy.accepted:
+            if self.mapped_by:
+                fix += f" (by source, unit, sign, order or direction in {self.mapped_by})"
             fix = f"{fix}; or, if it is none, add --accept {mistake}"
             names = tuple(dict.fromkeys((mistake, *others)))
             raise MistakeError(where, expected, got, fix, names)

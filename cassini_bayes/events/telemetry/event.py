@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, time
@@ -211,15 +212,20 @@ def _parse(path: Path) -> dict[str, Any]:
 def _channels_of(folder: Path, keys: _Keys) -> ChannelMap | None:
     """The channel map that the description names, or the one beside it, if there is one."""
     if "channels" in keys.table:
-        return read_channel_map(folder / keys.text("channels"))
+        return read_channel_map(_named(folder, keys.text("channels")))
     beside = folder / CHANNELS
     return read_channel_map(beside) if exists(beside) else None
+
+
+def _named(folder: Path, name: str) -> Path:
+    """A file that a description names, as short as messages should have it."""
+    return Path(os.path.normpath(folder / name))
 
 
 def _telemetry_of(folder: Path, keys: _Keys) -> Path:
     """The file of rows: the one that the description names, or the one beside it."""
     if "telemetry" in keys.table:
-        return folder / keys.text("telemetry")
+        return _named(folder, keys.text("telemetry"))
     there = [folder / name for name in FILES if (folder / name).exists()]
     if not there:
         names = sorted(entry.name for entry in folder.iterdir() if entry.name != DESCRIPTION)
