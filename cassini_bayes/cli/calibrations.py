@@ -49,7 +49,7 @@ EventIds = Annotated[str, typer.Option("--events", help="Ids of the scenario's e
 PriorsFolder = Annotated[Path, typer.Option("--priors", help="Folder of priors files.")]
 
 WORK = Path("runs/studies")
-OUT = Path("docs/results")
+OUT = WORK / "pages"
 FLIGHT = Path("cassini_bayes/published/flight_2009_2010.csv")
 TOTALS_PRIORS = Path("priors/cassini_b_branch_2010.toml")
 MISSION_PRIORS = Path("priors/cassini_mission.toml")

@@ -15,7 +15,7 @@ from cassini_bayes.cli.options import (
     Plausibility,
     PriorsFile,
     Restart,
-    SeedOverride,
+    Seed,
     Source,
     command_line,
 )
@@ -27,7 +27,9 @@ DEFAULT_SEED = 1
 def diagnose_command(
     events: Annotated[
         list[str],
-        typer.Argument(help="Event folders, totals CSV or file.csv:ID; or estimates CSV."),
+        typer.Argument(
+            metavar="EVENT...", help="Event folders, totals CSV or file.csv:ID; or estimates CSV."
+        ),
     ],
     priors: PriorsFile,
     out: Annotated[Path, typer.Option("--out", help="Folder to write.")],
@@ -38,7 +40,7 @@ def diagnose_command(
     then_fit: Annotated[
         bool, typer.Option("--then-fit", help="Sample the extended model with emcee.")
     ] = False,
-    seed: SeedOverride = None,
+    seed: Seed = DEFAULT_SEED,
     plausibility: Plausibility,
     restart: Restart,
     output: Output,
@@ -57,7 +59,7 @@ def diagnose_command(
         source=source,
         gain=gain,
         **plausibility.policy,
-        seed=DEFAULT_SEED if seed is None else seed,
+        seed=seed,
         folder=out,
         **vars(restart),
         log=reporter.log,

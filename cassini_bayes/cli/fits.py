@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from cassini_bayes.pipeline.run_file import RunFile
 
 
+PLUS_MINUS = "(± is one standard deviation of the posterior)"
+
+
 def run_command(
     run_file: Annotated[Path, typer.Argument(metavar="RUN.toml", help="The run file.")],
     *,
@@ -164,8 +167,14 @@ def as_record(outcome: Outcome) -> dict[str, object]:
 
 
 def _lines(outcome: Outcome) -> list[str]:
-    """The verdict, and where to look next."""
+    """The verdict, whether it stands, and where to look next."""
     report = outcome.folder / "report.html"
+    where = [str(outcome.folder / "figures"), str(report)]
     if not report.exists():
-        return [*outcome.verdict, str(outcome.folder / "summary.csv")]
-    return [*outcome.verdict, str(outcome.folder / "figures"), str(report)]
+        where = [str(outcome.folder / "summary.csv")]
+    doubt = []
+    if not outcome.converged:
+        doubt = ["NOT CONVERGED: what follows is no result yet"]
+    elif outcome.review.warnings:
+        doubt = ["WITH WARNINGS, which stand last: read them before you use what follows"]
+    return [*doubt, *outcome.verdict, PLUS_MINUS, *where]

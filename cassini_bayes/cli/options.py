@@ -23,12 +23,19 @@ if TYPE_CHECKING:
 
 SeedOverride = Annotated[
     int | None,
-    typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed (overrides the run file)."),
+    typer.Option(
+        "--seed",
+        min=0,
+        max=LARGEST_SEED,
+        help="Random seed, in place of the file's or the default.",
+    ),
 ]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress, only errors.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace an existing run.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", help="No progress: results, warnings and errors alone.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing result.")]
 Accept = Annotated[
     list[str] | None,
     typer.Option(
@@ -94,11 +101,8 @@ class Output:
     quiet: Quiet = False
 
     def show(self, record: Callable[[], str], text: Callable[[], str]) -> None:
-        """The result on standard output: its record, as text, or not at all."""
-        if self.as_json:
-            typer.echo(record())
-        elif not self.quiet:
-            typer.echo(text())
+        """The result on standard output: its record, or as text."""
+        typer.echo(record() if self.as_json else text())
 
 
 @dataclass(frozen=True)

@@ -26,5 +26,4 @@ def report_command(
     from cassini_bayes.pipeline.fits import report
 
     page = report(fit, out, base=base, effect_files=effects or (), reporter=ConsoleReporter(quiet))
-    if not quiet:
-        typer.echo(str(page))
+    typer.echo(str(page))

@@ -183,7 +183,9 @@ def _not_there(
             f"{name!r}, whose wheel they lack or whose parameter is fixed in {priors.path}",
             "leave it out, or give the parameter a distribution",
         )
-    return InputError(where, "effects that there are", repr(name), nearest(name, catalogue.names))
+    alike = [known for known in catalogue.names if known.partition(":")[0] == kind]
+    hint = f"known: {', '.join(alike)}" if alike else nearest(name, catalogue.names)
+    return InputError(where, "effects that there are", repr(name), hint)
 
 
 def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.cells import Row, read_rows, rows_of
+from cassini_bayes.files.cells import Row, first_line, read_rows, rows_of
 from cassini_bayes.files.checks import check_known, in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
@@ -32,6 +32,9 @@ DeltaVSource = Literal["measured", "computed"]
 DELTA_V_SOURCES: Final[tuple[DeltaVSource, ...]] = ("measured", "computed")
 
 SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
+_WHAT: Final = "an event folder or a CSV of totals"
+COMMENT: Final = "#"
+MOST_SHOWN: Final = 60  # characters of a header in a message
 _COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
 """Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
 SHORTEST_PULSE_S: Final = 0.005
@@ -119,7 +122,8 @@ def read_totals(
     """
     file, wanted = split_reference(str(reference))
     path = Path(file)
-    rows = read_rows(path, *_columns(spacecraft))
+    _refuse_telemetry(path)
+    rows = read_rows(path, *_columns(spacecraft), what=_WHAT)
     by_source: dict[str, dict[str, Row]] = {}
     for row in rows:
         identity, kind = _identity(row)
@@ -191,6 +195,20 @@ def _columns(spacecraft: Spacecraft) -> tuple[tuple[str, ...], set[str]]:
 
 def _identity(row: Row) -> tuple[str, str]:
     return row.text("id", "a name of the event"), row.choice("source", SOURCES)
+
+
+def _refuse_telemetry(path: Path) -> None:
+    """Refuse a table whose header has nothing of totals, and say where telemetry goes."""
+    header = first_line(path, _WHAT, COMMENT)
+    names = {name.strip() for name in header.split(",")}
+    if header and not names & {"id", "duration_s"}:
+        raise InputError(
+            str(path),
+            "a table of totals, with columns id, epoch, duration_s, …",
+            f"columns {header[:MOST_SHOWN]}{'…' if len(header) > MOST_SHOWN else ''}",
+            f"telemetry goes into an event folder: cassini-bayes init DIR --spacecraft NAME "
+            f"--from {path}",
+        )
 
 
 def _choose(

@@ -16,7 +16,7 @@ LARGEST_SEED: Final = 2**63 - 1  # what TOML and NetCDF can hold
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
-def closest(name: str, known: Iterable[str], cutoff: float = 0.5) -> str | None:
+def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
     """The known name most like ``name``; None when none is alike by at least ``cutoff``."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
     return close[0] if close else None
@@ -27,6 +27,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     choices = list(known)
     close = closest(name, choices)
     return f"did you mean {close!r}?" if close else f"known: {', '.join(choices) or 'none'}"
+
+
+def choose(name: str, listed: Iterable[str]) -> str:
+    """A hint for a name that is none of those a message lists already: the closest, if one is."""
+    close = closest(name, listed)
+    return f"did you mean {close!r}?" if close else "choose one of them"
 
 
 def check_known(
@@ -44,9 +50,11 @@ def check_known(
         It is not; ``expected`` says what would be, the known names by default, and ``got`` what it
         is, the name itself by default.
     """
-    if name not in known:
-        wanted = expected or f"one of {', '.join(known) or 'none'}"
-        raise InputError(where, wanted, got or repr(name), nearest(str(name), known))
+    if name in known:
+        return
+    wanted = expected or f"one of {', '.join(known) or 'none'}"
+    hint = choose if expected is None and known else nearest
+    raise InputError(where, wanted, got or repr(name), hint(str(name), known))
 
 
 def finite_number(where: str, value: object, unit: str = "") -> float:

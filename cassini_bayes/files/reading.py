@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import closest
 
 MOST_NEIGHBOURS: Final = 1000
 _SPECIAL: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
@@ -100,8 +100,8 @@ def _unreadable(path: Path, what: str, error: OSError) -> InputError:
     if error.errno != errno.ENOENT:
         got = error.strerror or str(error)
         return InputError(str(path), what, got, "name a file that can be read")
-    names = _neighbours(path)
-    hint = nearest(path.name, names) if names else "check the path"
+    close = closest(path.name, _neighbours(path))
+    hint = f"did you mean {close!r}?" if close else "check the path"
     return InputError(str(path), what, "no such file", hint)
 
 

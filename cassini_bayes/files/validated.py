@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import nearest
+from cassini_bayes.files.checks import choose
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -62,7 +62,7 @@ def _refusal(
     expected, fix = _expected(found), f"change {key}"
     if kind == "extra_forbidden":
         known = list(fields)
-        expected, got, fix = f"one of {', '.join(known)}", "an unknown key", nearest(last, known)
+        expected, got, fix = f"one of {', '.join(known)}", "an unknown key", choose(last, known)
     elif kind == "missing":
         expected, got, fix = "a value", "nothing", f"add {key.rpartition('.')[2]} = …"
     elif kind in ("model_type", "dict_type"):
@@ -74,7 +74,7 @@ def _refusal(
         fix = f"write e.g. {last} = {json.dumps(examples[0])}"
     elif kind == "literal_error":
         choices = re.findall(r"'([^']*)'", found["ctx"]["expected"])
-        expected, fix = f"one of {', '.join(choices)}", nearest(str(value), choices)
+        expected, fix = f"one of {', '.join(choices)}", choose(str(value), choices)
     return InputError(f"{where}: {key}", expected, got, fix)
 
 

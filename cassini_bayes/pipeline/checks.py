@@ -61,7 +61,8 @@ class CheckResult:
         rows = self.disagree[self.disagree["verdict"] == "conflict"].to_dict(orient="records")
         return tuple(
             f"{row['name']}: the data pull it {row['surprise']:+.1f} standard deviations from its "
-            f"prior ({row['prior']:.4g} → {row['mode']:.4g} {row['unit']})"
+            f"prior ({row['prior']:.4g} → {row['mode']:.4g} {row['unit']}): something is wrong, and"
+            " need not be wrong there; diagnose the events"
             for row in rows
         )
 

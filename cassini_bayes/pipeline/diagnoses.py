@@ -330,6 +330,7 @@ def _opened(
     """Where a diagnosis keeps what it has finished, in a folder that says what it is of."""
     depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
+    provenance = provenance.relative_to(Path(), folder)
     kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN}
     return open_folder(folder, settings, provenance, force=force, resume=resume, **kind)
 

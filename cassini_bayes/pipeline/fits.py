@@ -463,9 +463,9 @@ def _review_of(
         )
     run = check_run(read_toml(resolved, "what a run was resolved to"), str(resolved))
     if base is None:
-        priors_path = locate(file, run.priors, "base")
+        priors_path = locate(file, run.priors, "--base")
         priors = read_priors(priors_path)
-        events = [str(locate(file, event, "base", priors)) for event in run.events]
+        events = [str(locate(file, event, "--base", priors)) for event in run.events]
         run = run.model_copy(update={"events": events, "priors": str(priors_path)})
     kinds = read_kinds([Path(path) for path in effect_files])
     inputs = read_inputs(run, Path() if base is None else Path(base), folder, kinds=kinds)

@@ -344,7 +344,7 @@ def plan(
             "plan",
             "either --quantity or --minimise",
             "neither" if quantity is None else "both",
-            "write e.g. --minimise z_throughput",
+            "write e.g. --quantity thrust_mean_n",
         )
     sources, draws = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)

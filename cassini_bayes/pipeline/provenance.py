@@ -8,7 +8,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +26,10 @@ LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz", "xarray", "h5netcdf", "p
 
 @dataclass(frozen=True)
 class Provenance:
-    """The record of a run; ``identity`` is the hash of all that its draws depend on."""
+    """The record of a run; ``identity`` is the hash of all that its draws depend on.
+
+    ``base`` is the folder that the paths of its inputs are relative to, as seen from its own.
+    """
 
     identity: str
     versions: Mapping[str, str]
@@ -35,6 +38,11 @@ class Provenance:
     command: tuple[str, ...]
     started_utc: str
     code_sha256: str
+    base: str = ""
+
+    def relative_to(self, base: Path, folder: Path) -> Provenance:
+        """The record in a ``folder`` whose inputs are named from a ``base`` folder on."""
+        return replace(self, base=Path(os.path.relpath(base, folder)).as_posix())
 
     def as_json(self) -> str:
         """The record as indented JSON."""
@@ -51,6 +59,7 @@ class Provenance:
                 "seed": self.seed,
                 "command": list(self.command),
                 "started_utc": self.started_utc,
+                "base": self.base,
             },
             indent=2,
         )
@@ -110,6 +119,7 @@ def read_provenance(path: Path) -> Provenance:
             command=tuple(map(str, result["command"])),
             started_utc=str(result["started_utc"]),
             code_sha256=str(result["package"]["code_sha256"]),
+            base=str(result.get("base", "")),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

@@ -216,6 +216,7 @@ def execute(
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names))
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
+    provenance = provenance.relative_to(base, folder)
     store = open_folder(folder, run.model_dump(), provenance, force=force, resume=resume)
     if inputs.model.telemetry or inputs.model.effects:
         for sentence in observability(inputs.model).sentences:

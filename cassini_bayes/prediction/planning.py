@@ -76,6 +76,7 @@ class Plan:
     """Candidates, most informative first, and what is known of the quantity before."""
 
     quantity: str
+    unit: str
     mean: float
     sd_before: float
     start_rpm: tuple[float, ...]
@@ -172,8 +173,10 @@ def plan(
             "--budget", "enough hydrazine for one candidate", f"{budget_g:g} g", "raise it"
         )
     result.sort(key=lambda c: -c.information_nats)
+    spec = learned.model.specs.get(quantity)
     return Plan(
         quantity,
+        "N" if spec is None else spec.unit,  # all others are thrusts
         float(draws.mean()),
         float(draws.std()),
         tuple(start.tolist()),
@@ -298,6 +301,7 @@ def plan_dictionary(found: Plan, top: int) -> dict[str, Any]:
     """JSON-ready: what is known before, the most informative, those per gram, and the front."""
     return {
         "quantity": found.quantity,
+        "unit": found.unit,
         "mean": found.mean,
         "sd_before": found.sd_before,
         "wheels": list(found.wheels),
@@ -339,9 +343,10 @@ def plan_text(found: Plan, top: int) -> str:
     """Tables for a terminal: the most informative, and the most per gram of hydrazine."""
     start = ", ".join(f"{rate:g}" for rate in found.start_rpm)
     lines = [
-        f"{found.quantity}: {found.mean:.4g} ± {found.sd_before:.2g} (1 sigma) before;"
+        f"{found.quantity}: {found.mean:.4g} ± {found.sd_before:.2g} {found.unit} (1 sd) before;"
         f" {len(found.candidates)} candidates from [{start}] rev/min",
     ]
+    wheels = "  ".join(f"{f'rwa{number}':>7}" for number in found.wheels)
     for title, chosen in (
         ("most informative", found.candidates[:top]),
         ("most per gram", _per_gram(found)[:top]),
@@ -350,7 +355,9 @@ def plan_text(found: Plan, top: int) -> str:
             continue
         lines += [
             "",
-            f"{title}: ends [rev/min], gain [nats], 1 sigma after, hydrazine [g], time [s]",
+            f"{title}: ends [rev/min], gain [nats], 1 sd after [{found.unit}], hydrazine [g],"
+            " time [s]",
+            f"{wheels}  {'gain':>8}  {'1 sd':>10}  {'g':>7}  {'s':>6}",
         ]
         lines += [
             f"{'  '.join(f'{rate:7.0f}' for rate in c.end_rpm)}  {c.information_nats:8.4f}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,8 +234,9 @@ def _names(table: Mapping[str, Any], key: str, where: str) -> list[str]:
 def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -> Path:
     """The file or event folder that a run names, looked for from the run file's folder on.
 
-    It has the digest that the run wrote down. ``priors`` say of which spacecraft an event folder
-    is.
+    Where that has moved, from the folder that holds the run, from the current one, and from the
+    run's own. It has the digest that the run wrote down. ``priors`` say of which spacecraft an
+    event folder is.
 
     Raises
     ------
@@ -245,32 +247,40 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         raise InputError(
             str(fit), f"{option}, as no resolved.toml lies beside it", "none", f"name {option}"
         )
-    digests = _digests(record_folder(fit))
-    for base in (fit.parent.parent, Path(), fit.parent):
-        path = base / name
+    folder = record_folder(fit)
+    digests, first = _recorded(folder)
+    changed: list[str] = []
+    for base in (*(folder / own for own in first), fit.parent.parent, Path(), fit.parent):
+        path = Path(os.path.normpath(base / name))
         if priors is not None and is_event_folder(path):
-            if digests.get(name) in (None, read_event(path, priors.spacecraft).digest):
-                return path
-            continue
-        table, _ = split_reference(name, base)
-        file, known = base / table, digests.get(table)
-        if exists(file) and file.is_file() and known in (None, digest(file)):
+            known, found = digests.get(name), read_event(path, priors.spacecraft).digest
+        else:
+            table, _ = split_reference(name, base)
+            file = base / table
+            if not exists(file) or not file.is_file():
+                continue
+            known, found = digests.get(table), digest(file)
+        if known in (None, found):
             return path
+        changed.append(str(path))
     raise InputError(
         str(fit),
         f"{name} as it was when the fit was made",
-        "no such file, or a changed one",
+        f"{changed[0]}, which has changed" if changed else "no such file",
         f"name it with {option}, or run the fit again",
     )
 
 
-def _digests(folder: Path) -> dict[str, str]:
+def _recorded(folder: Path) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Digests by name, and the folder that names are relative to, if a record says so."""
     path = folder / "provenance.json"
     if not path.exists():
-        return {}
-    result = read_json(path, "the record of a run").get("sha256")
+        return {}, ()
+    record = read_json(path, "the record of a run")
+    result, base = record.get("sha256"), record.get("base")
     if not isinstance(result, dict):
         raise InputError(
             f"{path}: sha256", "digests by file name", repr(result), "run the fit again"
         )
-    return {str(key): str(value) for key, value in result.items()}
+    digests = {str(key): str(value) for key, value in result.items()}
+    return digests, (base,) if isinstance(base, str) and base else ()

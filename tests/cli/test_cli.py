@@ -17,6 +17,7 @@ import run_cases
 from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
 
 from cassini_bayes import __version__
+from cassini_bayes.cli.fits import PLUS_MINUS
 from cassini_bayes.errors import CassiniBayesError
 
 pytestmark = pytest.mark.usefixtures("short_warm_start")
@@ -351,7 +352,9 @@ def test_output_of_a_fit(capsys: Captured, tmp_path: Path) -> None:
     assert provenance["seed"] == 7
     assert run_cases.command(["run", run_file, "--seed", "7", "--resume"]) == 1
     output = capsys.readouterr()
-    *verdict, place = output.out.splitlines()
+    doubt, *verdict, interval, place = output.out.splitlines()
+    assert doubt.startswith("NOT CONVERGED: ")
+    assert interval == PLUS_MINUS
     assert verdict == result["verdict"]
     assert verdict[0].startswith("Thrust ")
     assert " than the prior, " in verdict[0]
@@ -368,7 +371,7 @@ def test_exit_status_tells_convergence(
     converged: bool,
     status: int,
 ) -> None:
-    """0 when converged, 1 when not; quiet and converged is silent."""
+    """0 when converged, 1 when not; the result is there when quiet, too, and what it lacks."""
     from cassini_bayes.pipeline.run import Outcome
 
     def done(*_: object, **__: object) -> Outcome:
@@ -379,10 +382,12 @@ def test_exit_status_tells_convergence(
     run_file = str(run_cases.write_run(tmp_path))
     assert run_cases.command(["run", run_file, "--quiet"]) == status
     output = capsys.readouterr()
-    assert output.out == ""
+    lines = [PLUS_MINUS, str(tmp_path / "summary.csv")]
+    assert output.out.splitlines()[-2:] == lines
+    assert output.out.startswith("NOT CONVERGED: ") is not converged
     assert (output.err == "") is converged
     assert run_cases.command(["run", run_file]) == status
-    assert capsys.readouterr().out == f"{tmp_path / 'summary.csv'}\n"
+    assert capsys.readouterr().out == output.out
 
 
 def started(folder: Path, module: str, source: str, *arguments: str) -> tuple[int, str]:

@@ -31,7 +31,7 @@ def test_contradictions_stand_last(
 ) -> None:
     """Printed last, even when quiet; a failure with --strict, only where there are any."""
     outcome = SimpleNamespace(
-        folder=tmp_path, converged=True, review=SimpleNamespace(warnings=warnings)
+        folder=tmp_path, converged=True, verdict=(), review=SimpleNamespace(warnings=warnings)
     )
     monkeypatch.setattr("cassini_bayes.pipeline.run.execute", lambda *_, **__: outcome)
     run_file = str(run_cases.write_run(tmp_path))

@@ -71,7 +71,7 @@ def test_the_flight_run_file_is_good() -> None:
         (f"{LEAST}[samplers]\n", "samplers", "sampler", "unknown key", "'sampler'"),
         (f"{LEAST}[sampler]\nwalker = 3", "sampler.walker", "walkers", "unknown", "'walkers'"),
         (f"{LEAST}[model]\npulseshape = 1", "model.pulseshape", "pulse", "unknown", "pulse_shape"),
-        (f"{LEAST}[output]\nzzz = 1", "output.zzz", "folder", "unknown", "known: folder"),
+        (f"{LEAST}[output]\nzzz = 1", "output.zzz", "folder", "unknown", "choose one"),
         ('events = ["two.csv"]', "priors", "a value", "nothing", "add priors"),
         ('priors = "b"', "events", "a value", "nothing", "add events"),
         ('priors = "b"\nevents = []', "events", "at least one", "[]", "file.csv"),

@@ -523,7 +523,11 @@ def test_plan_texts() -> None:
     """Candidates by information and per gram; the CSV has a row for each."""
     found = small_plan()
     assert plan_csv(found).count("\n") == len(found.candidates) + 1
-    assert plan_text(found, 3).count("\n") == 10
+    text = plan_text(found, 3)
+    assert text.count("\n") == 12
+    assert " N (1 sd) before" in text
+    assert "1 sd after [N]" in text
+    assert "rwa1" in text
     document = plan_dictionary(found, 3)
     per_gram = [
         e["information_nats"] / max(e["hydrazine_g"], 1e-9) for e in document["most_per_gram"]

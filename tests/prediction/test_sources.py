@@ -1,0 +1,30 @@
+"""Where a fit came from: inputs are found again, and only as they were."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.storage import digest
+from cassini_bayes.prediction.sources import locate
+
+
+def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
+    """From where the run's record says; what has changed there is named, what is gone is not."""
+    inputs, run = tmp_path / "study" / "inputs", tmp_path / "far" / "away" / "run"
+    inputs.mkdir(parents=True)
+    run.mkdir(parents=True)
+    table = inputs / "priors.toml"
+    table.write_text("a = 1\n")
+    record = {"sha256": {"inputs/priors.toml": digest(table)}, "base": "../../../study"}
+    (run / "provenance.json").write_text(json.dumps(record))
+    assert locate(run / "fit.nc", "inputs/priors.toml", "--priors") == table
+    table.write_text("a = 2\n")
+    with pytest.raises(InputError, match=r"got .*study/inputs/priors.toml, which has changed"):
+        locate(run / "fit.nc", "inputs/priors.toml", "--priors")
+    table.unlink()
+    with pytest.raises(InputError, match="got no such file; name it with --priors"):
+        locate(run / "fit.nc", "inputs/priors.toml", "--priors")
