@@ -399,6 +399,7 @@ FAULTS: list[tuple[dict[str, float], dict[str, Any] | None]] = [
     ({"thrust_common_n": 0.75 * 0.7}, None),
     ({"cm_x_m": 0.23, "cm_y_m": -0.043, "cm_z_m": 1.164}, None),
     ({"rwa1_inertia_kg_m2": 0.161 * 1.05, "rwa2_inertia_kg_m2": 0.16 * 0.95}, None),
+    ({"rwa1_inertia_kg_m2": 0.161 * 0.9}, None),
     ({"rwa4_tilt_u_rad": 0.0275, "rwa4_tilt_v_rad": -0.0375}, None),
     ({"inertia_xx_kg_m2": 6558 * 1.1, "inertia_xy_kg_m2": 0.0}, None),
     ({"tau_fall_s": 0.12}, None),

@@ -28,8 +28,8 @@ WHEEL_UNITS: Final = {
     "rev/s": 60.0,
     "rev/min turned to rad/s twice": RAD_S_PER_RPM,
 }
-LEAST_FACTOR_STEP: Final = 0.08
-"""A free factor closer to 1 is a departure, no mistake: four widths of a wheel's inertia."""
+LEAST_FACTOR_STEP: Final = 0.15
+"""A free factor closer to 1 is a departure, no mistake: three widths of `wheel_inertia`'s prior."""
 LEAST_FACTOR: Final = 1e-3
 """Of a wheel: with less the column says nothing."""
 
