@@ -406,6 +406,7 @@ FAULTS: list[tuple[dict[str, float], dict[str, Any] | None]] = [
     (dict.fromkeys([f"external_torque_{axis}_n_m" for axis in "xyz"], 0.004), None),
     ({}, {"name": "thruster_leak:z3", "parameters": {"leak_n": 0.006}}),
     ({}, {"name": "thruster_degraded:z3", "parameters": {"thrust_factor": 0.6}}),
+    ({}, {"name": "pulse_shape", "parameters": {"impulse_time_offset_s": 0.06}}),
     ({}, {"name": "time_offset", "parameters": {"time_offset_s": 1.5}}),
     ({}, {"name": "rate_bias:x", "parameters": {"rate_bias_x_rad_s": 1e-5}}),
     ({}, {"name": "rate_scale:y", "parameters": {"rate_scale": 0.02}}),
@@ -419,6 +420,15 @@ def test_an_honest_fault_is_never_refused(
     """Faults of the spacecraft as large as the diagnosis must find pass."""
     for event, chunk in simulated(tmp_path, truth, effect):
         check_telemetry(event, [chunk], CASSINI, NOMINAL)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_what_is_left_of_all_firings_is_what_was_fired(tmp_path: Path, factor: float) -> None:
+    """Thrust that falls costs more than its normal prior says, and not thrust that grows."""
+    (event, chunk), _ = simulated(tmp_path, {"thrust_common_n": factor * 0.75}, None)
+    balance = evidence_of(event, chunk).balance()
+    assert balance is not None
+    assert balance.impulse == pytest.approx(factor, rel=0.03)
 
 
 def test_a_balance_that_nothing_closes_is_flagged(honest: dict[str, Event]) -> None:

@@ -295,8 +295,10 @@ class Momentum:
         chance = by_noise.sum() + NOISE_SIGMAS * np.sqrt(2.0 * np.sum(by_noise**2))
         excess = max(float(gain.sum() - chance), 0.0) + max(rest, 0.0)
         share, spread = self._impulse(names, nominal, correction)
-        excess += vanishing(1.0 + float(share @ solution), spread)
-        return MomentumFit(excess, float(open_nms), factors)
+        # departures make up for what is open: more thrust is a negative one
+        impulse = 1.0 - float(share @ solution)
+        excess += vanishing(impulse, spread)
+        return MomentumFit(excess, float(open_nms), factors, impulse)
 
     def _present(self, names: Sequence[str], design: Array) -> tuple[tuple[str, ...], Array]:
         """Departures without those of cut tails or a swing that an event has not."""
@@ -358,7 +360,7 @@ class Momentum:
             covariance = np.eye(number) + scale * inner[:number, :number] * scale.T
             factor = np.linalg.cholesky(covariance)
             solved = solve_triangular(factor, scale * right, lower=True, check_finite=False)
-            impulse, solved = -solved[:, -1] @ solved[:, :-1], solved[:, :-1]
+            impulse, solved = solved[:, -1] @ solved[:, :-1], solved[:, :-1]
             # what departures do not take of the columns
             rest = inner[number:, number:] - solved.T @ solved
             volume = 2.0 * float(np.log(np.diag(factor)).sum())
@@ -405,6 +407,8 @@ class Momentum:
 class MomentumFit:
     """What closing the balance costs, what stays open (RMS, N m s), factors of free wheels.
 
+    ``impulse`` is the share of the nominal impulse that departures leave of all firings.
+
     ``excess`` is the misfit with departures at their price less the misfit with all of them
     nearly free, less what noise alone may make of that, and what even then stays beyond noise.
     """
@@ -412,6 +416,7 @@ class MomentumFit:
     excess: float
     open_nms: float
     factors: Array
+    impulse: float
 
 
 @dataclass(frozen=True, eq=False)
