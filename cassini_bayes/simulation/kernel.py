@@ -332,8 +332,8 @@ def thrust_step(
 ) -> tuple[float, float]:
     """Thrust fraction after a step, and its integral over the step: exact between edges.
 
-    Only the two latest pulses can still have an edge: the older one's last edge is at most a few
-    milliseconds after the next cycle began.
+    Only the two latest pulses can still have an edge that matters: one that goes on beyond the next
+    (an offset may make it) ends while that one holds the valve open.
     """
     end = time + step
     now = time
