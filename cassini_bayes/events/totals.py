@@ -33,8 +33,7 @@ DELTA_V_SOURCES: Final[tuple[DeltaVSource, ...]] = ("measured", "computed")
 
 SOURCES: Final = ("flight", "fsds", "gsw_ideal", "gsw", "simulation")
 _WHAT: Final = "an event folder or a CSV of totals"
-COMMENT: Final = "#"
-MOST_SHOWN: Final = 60  # characters of a header in a message
+_MOST_SHOWN: Final = 60  # characters of a header in a message
 _COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
 """Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
 SHORTEST_PULSE_S: Final = 0.005
@@ -199,15 +198,15 @@ def _identity(row: Row) -> tuple[str, str]:
 
 def _refuse_telemetry(path: Path) -> None:
     """Refuse a table whose header has nothing of totals, and say where telemetry goes."""
-    header = first_line(path, _WHAT, COMMENT)
-    names = {name.strip() for name in header.split(",")}
-    if header and not names & {"id", "duration_s"}:
+    header = first_line(path, _WHAT, "#")
+    names = {name.strip(' "') for name in header.split(",")}
+    if header and "id" not in names and "duration_s" not in header:
         raise InputError(
-            str(path),
+            f"{path}: line 1",
             "a table of totals, with columns id, epoch, duration_s, …",
-            f"columns {header[:MOST_SHOWN]}{'…' if len(header) > MOST_SHOWN else ''}",
-            f"telemetry goes into an event folder: cassini-bayes init DIR --spacecraft NAME "
-            f"--from {path}",
+            f"columns {header[:_MOST_SHOWN]}{'…' if len(header) > _MOST_SHOWN else ''}",
+            "add the header line; telemetry goes into an event folder: "
+            f"cassini-bayes init DIR --spacecraft NAME --from {path}",
         )
 
 

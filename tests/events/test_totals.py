@@ -286,7 +286,7 @@ BAD_TABLES: dict[str, tuple[Callable[[Cells], Cells], list[str]]] = {
     ),
     "long row": (lambda cells: [*cells[:2], [*cells[2], "x"]], ["line 3", "37 cells", "38"]),
     "no rows": (lambda cells: cells[:1], ["only the header"]),
-    "no header": (lambda cells: cells[1:], ["line 1", "unknown column 'b-one'"]),
+    "no header": (lambda cells: cells[1:], ["line 1", "columns b-one,", "add the header line"]),
     "empty": (lambda cells: cells[:0], ["an empty file"]),
     "same event twice": (
         lambda cells: [*cells, cells[1]],
@@ -307,6 +307,20 @@ def test_bad_tables_say_where_and_why(
     assert message.startswith(str(path))
     for fragment in fragments:
         assert fragment in message
+
+
+def test_telemetry_is_told_where_it_goes(tmp_path: Path) -> None:
+    """A table without anything of totals; one with a quoted header is read as ever."""
+    path = tmp_path / "may.csv"
+    path.write_text("UTC;ATT_Q0;ATT_Q1\n1;2;3\n")
+    with pytest.raises(
+        InputError,
+        match=r"got columns UTC;ATT_Q0;ATT_Q1; add the header line; telemetry .* --from ",
+    ):
+        read_totals(path, CASSINI)
+    path.write_text('"id","epoch"\n"a","b"\n')
+    with pytest.raises(InputError, match="the column 'branch'"):
+        read_totals(path, CASSINI)
 
 
 def test_semicolons_and_broken_quotes(tmp_path: Path) -> None:
