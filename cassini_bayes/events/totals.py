@@ -22,7 +22,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.cells import Row, first_line, read_rows, rows_of
+from cassini_bayes.files.cells import MOST_BYTES, Row, first_line, read_rows, rows_of
 from cassini_bayes.files.checks import check_known, in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
@@ -199,6 +199,8 @@ def _identity(row: Row) -> tuple[str, str]:
 def _refuse_telemetry(path: Path) -> None:
     """Refuse a table whose header has nothing of totals, and say where telemetry goes."""
     header = first_line(path, _WHAT, "#")
+    if path.stat().st_size > MOST_BYTES:
+        return  # its size says more
     names = {name.strip(' "') for name in header.split(",")}
     if header and "id" not in names and "duration_s" not in header:
         raise InputError(

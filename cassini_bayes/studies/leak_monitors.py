@@ -137,7 +137,6 @@ def residual_of(
     still = stretches(samples, sampling.guard_s)
     rows = still.rows
     columns = on_time_columns(samples, rows, sampling).reshape(len(rows), len(thrusters), -1)
-    columns = columns[..., :-1]  # without pulse counts
     to_body = direction_cosines(samples.attitude[rows])
     back = np.einsum("ab,ncb->nac", to_body[0], to_body)  # to the first row's axes
     craft = priors.spacecraft

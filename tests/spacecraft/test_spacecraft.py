@@ -144,7 +144,7 @@ MISTAKES = {
     ),
     "empty pair": (('"+x" = ["p1", "p2"]', '"+x" = []'), ["axis_pairs.+x", "nothing"]),
     "missing demand": (('"+x" = ["p1", "p2"]\n', ""), ["axis_pairs.+x", "nothing"]),
-    "unknown demand": (('"+x" = ["p1"', '"+w" = ["p1"'), ["axis_pairs.+w", "did you mean"]),
+    "unknown demand": (('"+x" = ["p1"', '"+w" = ["p1"'), ["axis_pairs.+w", "choose one of them"]),
     "pair is no list": (('"+x" = ["p1", "p2"]', '"+x" = "p1"'), ["axis_pairs.+x", "'p1'"]),
     "branch without the demand": (('"r1", "r2", "s1"', '"s1"'), ["axis_pairs.+z", "branch 'P'"]),
     "unknown block": (('block = "geometry"', 'block = "geometri"'), ["arm_m.block", "'geometry'"]),
