@@ -247,7 +247,7 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
 
 
 def mean_offset(physics: Physics, n: int) -> Array:
-    """On-time (n,) added per pulse, s, on average of thrusters: for the size of noises."""
+    """By how much pulses last longer (n,), s, on average of thrusters: for the size of noises."""
     of_all = np.broadcast_to(physics.impulse_offset_s, (n, physics.arms_m.shape[-1]))
     return np.asarray(of_all.mean(axis=1))
 

@@ -110,8 +110,7 @@ def pulse_ratio(
     ``offset_s`` (n,) is by how much every pulse lasts longer than commanded.
     """
     fall, offset = (np.asarray(value, dtype=np.float64)[..., None] for value in (fall_s, offset_s))
-    longer = np.maximum(widths_s + offset, 0.0)
-    effective = shape.effective_time(longer, DELAY_S, rise_s, fall)
+    effective = shape.longer_time(widths_s, offset, DELAY_S, rise_s, fall)
     return np.asarray((effective * counts).sum(-1) / (widths_s @ counts))
 
 

@@ -364,9 +364,9 @@ def _fly(
 def _per_second(data: OnTimes, physics: Physics) -> Array:
     """Effective per commanded second of every thruster (n, 1, K), at equally wide pulses."""
     rate = data.pulses_per_second
-    width = np.maximum(1.0 / rate + np.asarray(physics.impulse_offset_s), 0.0)
     tau = (np.asarray(value)[..., None] for value in physics.tau_s)
-    factor = rate * PULSE_SHAPES["first_order"].effective_time(width, *tau)
+    shape = PULSE_SHAPES["first_order"]
+    factor = rate * shape.longer_time(1.0 / rate, physics.impulse_offset_s, *tau)
     return np.asarray(np.maximum(factor, LEAST_FACTOR) * np.ones(data.thrusters))[:, None, :]
 
 

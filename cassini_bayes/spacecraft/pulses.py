@@ -63,6 +63,21 @@ class PulseShape:
         """
         return self._fraction(*_floats(time_s, width_s, tau_delay_s, tau_rise_s, tau_fall_s))
 
+    def longer_time(
+        self,
+        width_s: ArrayLike,
+        offset_s: ArrayLike,
+        tau_delay_s: ArrayLike,
+        tau_rise_s: ArrayLike,
+        tau_fall_s: ArrayLike,
+    ) -> Array:
+        """Effective time, s, of a pulse that lasts longer than commanded by an offset.
+
+        A negative offset leaves nothing of a pulse that is shorter. The arguments broadcast.
+        """
+        lasts = np.maximum(np.asarray(width_s) + np.asarray(offset_s), 0.0)
+        return self.effective_time(lasts, tau_delay_s, tau_rise_s, tau_fall_s)
+
     def tail_s(self, tau_delay_s: ArrayLike, tau_rise_s: ArrayLike, tau_fall_s: ArrayLike) -> Array:
         """On-time that a long pulse delivers beyond its width, in s: what an early command cuts."""
         return self.effective_time(_LONG_S, tau_delay_s, tau_rise_s, tau_fall_s) - _LONG_S

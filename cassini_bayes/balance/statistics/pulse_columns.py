@@ -185,8 +185,8 @@ class PulseBasis:
             return np.zeros((*offset_s.shape, len(PULSE_COLUMNS)))
         widths, fit = self._usual_widths
         own = [np.asarray(tau)[..., None, None] for tau in tau_s]
-        moved = np.maximum(widths + offset_s[..., None], 0.0)
-        gained = self.shape.effective_time(moved, *own) - self.shape.effective_time(widths, *own)
+        longer = self.shape.longer_time(widths, offset_s[..., None], *own)
+        gained = longer - self.shape.effective_time(widths, *own)
         return np.asarray(gained @ fit)
 
     @cached_property
