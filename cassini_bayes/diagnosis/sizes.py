@@ -41,8 +41,8 @@ def size_draws(
             setting = effect.setting(model.spacecraft, model.branch)
             values |= effect.kind.drawn(setting, rng, len(z))
         for key, step in effect.kind.known_to.items():
-            known_to = model.spacecraft.control_cycle_s if step is None else step
-            values[key] = values[key] + rng.uniform(0.0, known_to, len(z))
+            known_to = 2.0 * model.spacecraft.control_cycle_s if step is None else step
+            values[key] = values[key] + known_to * rng.uniform(-0.5, 0.5, len(z))
     for effect in hypothesis.effects:
         for key, share in effect.form_error:
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))

@@ -123,8 +123,8 @@ class Kind:
         Draws (n,) of sizes, keys as ``report`` has them, that stand for those of the fit: of what a
         search has found and the fit, near one value of it, does not range over.
     known_to
-        How finely the data tell a size, by key: it is spread evenly over such a step more. None
-        stands for the spacecraft's control cycle.
+        How finely the data tell a size, by key: it is spread evenly over such a step more, half
+        of it to either side. None stands for two of the spacecraft's control cycles.
     left_open
         What counters leave open about it: columns (n, 3, s), N m s, one for every firing of some
         thrusters that only fire together, and the variances (s,) of their unknowns.

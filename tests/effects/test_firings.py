@@ -8,7 +8,7 @@ import pytest
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.effects.firings import TAIL_S, firings
 from cassini_bayes.effects.flexible_mode import driven_answers
-from cassini_bayes.effects.time_offset import late_firings
+from cassini_bayes.effects.time_offset import LAG_S, PULSE_S, late_firings
 
 TIME = np.arange(41.0)
 WIDTH_S = 0.05
@@ -56,7 +56,8 @@ def test_a_late_record_leaves_open_what_random_moments_scatter(offset_s: float, 
     found = firings(samples(7.0, count=count), (0, 1), FORCE)
     columns, variance = late_firings(found, TIME, offset_s)
     moments = 7.0 + rng.uniform(0.0, 1.0, (count, DRAWS))
-    delivered = (TIME[:, None, None] + offset_s >= moments).mean(1)
+    given = moments + LAG_S + 0.5 * PULSE_S
+    delivered = (TIME[:, None, None] + offset_s >= given).mean(1)
     expected = delivered.var(1)[:, None] * found.momentum_n_m_s[0] ** 2
     # pulses that last take that share of the interval's variance, to first order
     expected = expected * (1.0 - count * WIDTH_S)
@@ -66,9 +67,10 @@ def test_a_late_record_leaves_open_what_random_moments_scatter(offset_s: float, 
 
 
 def test_records_in_time_leave_nothing_open() -> None:
-    """No offset, no columns: rows at readings know what was fired."""
-    columns, variance = late_firings(firings(samples(7.0, 9.0), (0,), FORCE), TIME, 0.0)
-    assert columns.shape == (len(TIME), 3, 0)
+    """No offset, no columns: rows a reading after a pulse know what was fired."""
+    quiet = TIME[~np.isin(TIME, [8.0, 10.0])]
+    columns, variance = late_firings(firings(samples(7.0, 9.0), (0,), FORCE), quiet, 0.0)
+    assert columns.shape == (len(quiet), 3, 0)
     assert len(variance) == 0
 
 
