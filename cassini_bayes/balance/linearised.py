@@ -75,6 +75,12 @@ def fitted_away(linear: Linear, target: Array) -> Array:
     return np.asarray(target - linear.columns @ coefficients)
 
 
+def whitened(columns: Array, factor: Array) -> Array:
+    """Columns (n, 3, s) of an event in units of its noise, (3 n, s), with its factor (3, 3)."""
+    white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
+    return np.asarray(white.reshape(3 * len(columns), -1))
+
+
 def with_unknowns(
     linear: Linear,
     opened: Sequence[tuple[Array, Array]],
@@ -95,9 +101,8 @@ def with_unknowns(
     widths = [len(variance) for _, variance in opened]
     added, place = np.zeros((len(linear.target), sum(widths))), 0
     for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
-        white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)
         stop = place + len(variance)
-        added[part, place:stop] = white.reshape(part.stop - part.start, len(variance))
+        added[part, place:stop] = whitened(columns, factor)
         place = stop
     precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
     return replace(

@@ -13,9 +13,10 @@ Here are the pattern of its columns and unknowns, its bands and Gram matrices. C
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -139,18 +140,30 @@ class Reduced:
         return self.columns[np.r_[self.walk, self.row]]
 
 
+@dataclass(frozen=True, eq=False)
+class CompiledBands:
+    """The bands for compiled code, which has a column of its own for every entry."""
+
+    slow: SlowBands
+    fast: FastBands
+    turns: Turns
+
+
 @dataclass(frozen=True)
 class Products:
     """Inner products of columns: of all A of the layout, or of some.
 
-    A model shares those of all with whatever is built on its events; each has those that it needs
-    once its likelihood is called.
+    A model shares those of all with whatever is built on its events; ``compiled`` are those of the
+    entries (as bytes) that some model's likelihood has needed, for as long as there is such a one.
     """
 
     slow: Array  # (3, A, M) coordinates on the slow modes
     grams: Array  # (F, 3, 3, A, A) of the fast bands
     slopes: Array  # (3, A, S) coordinates of integrated columns on the slowest modes of slopes
     turns: Array  # (T, 3, 3, A, A) of the integrated columns of quiet pieces
+    compiled: WeakValueDictionary[bytes, CompiledBands] = field(
+        default_factory=WeakValueDictionary, init=False, repr=False, compare=False
+    )
 
     def of(self, columns: Places) -> Products:
         """Those of some columns, in their order."""
@@ -214,8 +227,15 @@ class TelemetryBalance:
         return tuple(name for name in self.statistics.layout.extra if "@" not in name)
 
     @cached_property
-    def bands(self) -> tuple[SlowBands, FastBands, Turns]:
-        """The bands for compiled code, which has a column of its own for every entry."""
+    def bands(self) -> CompiledBands:
+        """The bands for compiled code, shared with all models that have the same entries."""
+        known, entries = self.products.compiled, self.reduced.entered.tobytes()
+        found = known.get(entries)
+        if found is None:
+            found = known[entries] = self._compiled_bands()
+        return found
+
+    def _compiled_bands(self) -> CompiledBands:
         contrasts = np.array([band.contrasts for band in self.turns], dtype=np.int64)
         first = np.r_[0, np.cumsum(contrasts)]
         first = first[first <= self.products.slopes.shape[2]]
@@ -241,7 +261,7 @@ class TelemetryBalance:
             _by_column(products.turns[len(first) - 1 :], columns),
             contrasts.astype(np.float64),
         )
-        return slow, fast, turns
+        return CompiledBands(slow, fast, turns)
 
     @cached_property
     def left_open(self) -> OpenSquares:

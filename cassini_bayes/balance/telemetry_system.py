@@ -69,7 +69,8 @@ def event_system(
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
-    n, k, reduced = len(physics.inertia_kg_m2), event.pattern.thrusters, event.reduced
+    n, k = len(physics.inertia_kg_m2), event.pattern.thrusters
+    reduced, bands = event.reduced, event.bands
     weights = balance_weights(event, physics)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
@@ -93,7 +94,14 @@ def event_system(
     used = np.concatenate([walk, weights[:, reduced.entries]], axis=1)
     turned = turn_weights(event, physics, weights, by_turn.gain)[:, :, reduced.turned]
     normal, log_scale, kept = normal_equations(
-        used, np.ascontiguousarray(turned), noise, reduced.places, *event.bands, placed
+        used,
+        np.ascontiguousarray(turned),
+        noise,
+        reduced.places,
+        bands.slow,
+        bands.fast,
+        bands.turns,
+        placed,
     )
     if normals > 0:
         normal, log_scale = without_first(normal, normals, log_scale)

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, whitened, with_unknowns
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance
@@ -137,6 +137,21 @@ def effect_columns(
 ) -> list[Array]:
     """What effects add to the whitened rows of every telemetry event, (3 n, S), at z (d,).
 
+    Parameters as of :func:`effect_momentum`.
+    """
+    located, result = base.model.points(z[None]), []
+    added = effect_momentum(base, z, extended)
+    for term, of_event in zip(base.model.telemetry, added, strict=True):
+        noise = noise_covariance(term.balance, term.physics(located), located.parameters)[0]
+        result.append(whitened(of_event, np.linalg.cholesky(noise)))
+    return result
+
+
+def effect_momentum(
+    base: Hypothesis, z: Array, extended: Sequence[tuple[Hypothesis, Array]]
+) -> list[Array]:
+    """What effects add to the rows of every telemetry event, (n, 3, S), N m s, at z (d,).
+
     Parameters
     ----------
     base
@@ -168,10 +183,7 @@ def effect_columns(
             np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))]),
         )
         added += thrust_columns(base, z, place) @ np.concatenate(shifts).T
-        noise = noise_covariance(terms, physics, located.parameters)[0]
-        inverse = np.linalg.inv(np.linalg.cholesky(noise))
-        white = np.einsum("ab,nbs->nas", inverse, added)
-        result.append(white.reshape(-1, added.shape[2]))
+        result.append(added)
     return result
 
 

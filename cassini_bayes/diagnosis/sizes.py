@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import with_unknowns
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.balance.linearised import Linear, whitened
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.case import H, Size, Weighed
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -125,13 +125,14 @@ def with_unresolved(
 ) -> Array:
     """Posterior draws z (n, d) about a mode (d,), moved and widened by when pulses were fired.
 
-    With X the linear model's columns, U those of what is open (:mod:`unresolved`), r what the
-    model leaves at its mode, G and G' the Gram matrices of X and of (X, U) with their priors'
-    precision, draws move by Δ and are widened by N(0, Σ' − Σ), where
+    With X the linear model's columns and C the covariance of whitened rows with tails that are cut,
+    β what is fitted, r = C⁻¹ (y − X β), U the columns of :func:`.unresolved.timed` with variances
+    v, and everything that is open summed over,
 
-        (Δ, u) = G'⁻¹ (0, Uᵀ r),  Σ = (G⁻¹)_zz,  Σ' = (G'⁻¹)_zz,
+        G = Xᵀ C⁻¹ X + P,  T = Uᵀ C⁻¹ U + 1/v,  B = Xᵀ C⁻¹ U,  G' = G − B T⁻¹ Bᵀ,
 
-    U those of :func:`cassini_bayes.diagnosis.unresolved.timed`. Cases with totals rows, whose
+    draws move by Δ = −(G'⁻¹ B T⁻¹ Uᵀ r)_z and are widened by N(0, (G'⁻¹ − G⁻¹)_zz). What is open
+    belongs to one event each, so that every T is of one event. Cases with totals rows, whose
     information the linear model does not have, stay as they are.
     """
     model = hypothesis.model
@@ -140,18 +141,53 @@ def with_unresolved(
         return z
     linear, factors = linearise(hypothesis, mode)
     cuts = [single_cuts(hypothesis, mode, i) for i in range(len(model.telemetry))]
-    linear = with_unknowns(linear, cuts, factors)
-    wide = with_unknowns(linear, opened, factors)
-    d, size = len(mode), linear.columns.shape[1]
-    gram = linear.gram()
-    pull = np.zeros(size)
-    pull[:d] = mode  # of the prior, whose centre is not the mode
-    fitted = np.linalg.solve(gram, linear.columns.T @ linear.target - pull)
-    slope = wide.columns.T @ (linear.target - linear.columns @ fitted)
-    slope[:size] = 0.0
-    wider = wide.gram()
-    move = np.linalg.solve(wider, slope)[:d]
+    d, size = len(mode), len(linear.precision)
+    events = [
+        _with_cuts(linear, part, whitened(columns, factor), variance)
+        for part, (columns, variance), factor in zip(linear.parts, cuts, factors, strict=True)
+    ]
+    gram, pull = np.diag(linear.precision), np.zeros(size)
+    pull[:d] = -mode  # of the prior, whose centre is not the mode
+    for event in events:
+        gram[np.ix_(event.kept, event.kept)] += event.columns.T @ event.over(event.columns)
+        pull[event.kept] += event.columns.T @ event.over(event.target)
+    fitted = np.linalg.solve(gram, pull)
+    wider, pulled = gram.copy(), np.zeros(size)
+    for event, (columns, variance), factor in zip(events, opened, factors, strict=True):
+        own = whitened(columns, factor)
+        left = event.over(event.target - event.columns @ fitted[event.kept])
+        across = event.columns.T @ event.over(own)
+        inner = own.T @ event.over(own) + np.diag(1.0 / variance)
+        taken = np.linalg.solve(inner, np.column_stack([across.T, own.T @ left]))
+        wider[np.ix_(event.kept, event.kept)] -= across @ taken[:, :-1]
+        pulled[event.kept] -= across @ taken[:, -1]
+    move = np.linalg.solve(wider, pulled)[:d]
     added = np.linalg.inv(wider)[:d, :d] - np.linalg.inv(gram)[:d, :d]
     values, vectors = np.linalg.eigh(0.5 * (added + added.T))
     spread = vectors * np.sqrt(np.maximum(values, 0.0))
     return np.asarray(z + move + rng.standard_normal(z.shape) @ spread.T)
+
+
+class _WithCuts(NamedTuple):
+    """One event's whitened rows: target (m,), the columns (m, k) that it has, ``kept`` of all.
+
+    ``cuts`` (m, s) are U, ``inner`` (s, s) Uᵀ U + 1/v of tails that are cut.
+    """
+
+    target: Array
+    columns: Array
+    kept: Places
+    cuts: Array
+    inner: Array
+
+    def over(self, values: Array) -> Array:
+        """C⁻¹ times values (m, …), C = 1 + U v Uᵀ."""
+        taken = np.linalg.solve(self.inner, self.cuts.T @ values)
+        return np.asarray(values - self.cuts @ taken)
+
+
+def _with_cuts(linear: Linear, part: slice, cuts: Array, variance: Array) -> _WithCuts:
+    columns = linear.columns[part]
+    kept = np.flatnonzero(np.any(columns, axis=0))
+    inner = cuts.T @ cuts + np.diag(1.0 / variance)
+    return _WithCuts(linear.target[part], columns[:, kept], kept, cuts, inner)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from study_cases import study_in
 
@@ -65,7 +66,7 @@ RECORDS = (
     record(2, "clear", "tail_off", "tail_off"),
     record(3, "clear", "pulse_shape", "tail_off", confounded_with=["pulse_shape"]),
     record(4, "clear", "time_offset", "rate_scale:z"),
-    record(5, "uncatalogued", "pressure_surge", "unknown"),
+    record(5, "uncatalogued", "pressure_surge", "unknown", alias="thrust_warmup", alias_left=7.0),
     record(6, "prior", "tail_off", "tail_off"),
     record(7, "two", "tail_off", "tail_off", pair="tail_off+inertia:xx")
     | {"hidden": [{"name": n, "parameters": {}, "sigma": 6.0} for n in ("inertia:xx", "tail_off")]},
@@ -76,6 +77,18 @@ def test_a_named_cause_is_the_hidden_one_or_in_its_group() -> None:
     """A confounded group counts; a wrong name, or any name where nothing is hidden, does not."""
     assert [named(r) for r in RECORDS[:5]] == [True, False, True, True, False]
     assert first(RECORDS[4]) == "rate_scale:z"
+
+
+def test_what_a_cause_explains_is_not_asked_to_be_unknown() -> None:
+    """Of three trials one is told from all causes and right, one is declined, one has an alias."""
+    alias = record(8, "uncatalogued", "plume", "tail_off", alias="tail_off", alias_left=1.2)
+    refused = {"index": 9, "stratum": "uncatalogued", "declined": "too coarse"}
+    table = rates([RECORDS[5], alias, refused]).set_index("rate")
+    own = "uncatalogued: unknown first, where the oracle tells it from all causes"
+    assert table.loc[own, ["hits", "trials", "goal"]].to_list() == [1, 2, 0.90]
+    assert table.loc["uncatalogued: unknown first", ["hits", "trials"]].to_list() == [1, 3]
+    assert np.isnan(table.loc["uncatalogued: unknown first", "goal"])
+    assert own not in rates([RECORDS[4]])["rate"].to_list()
 
 
 def test_rates_are_counted_by_part() -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import Linear, fitted_away, with_unknowns
+from cassini_bayes.balance.linearised import Linear, fitted_away, whitened, with_unknowns
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
@@ -145,8 +145,22 @@ def _whitened(momentum: Sequence[Array], factors: Sequence[Array]) -> Array:
     return np.concatenate([(part @ np.linalg.inv(factor).T).reshape(-1) for part, factor in parts])
 
 
-def changed_size(shown: View, plain: View) -> float:
-    """σ by the actual change of the data from the flight without to the flight with an effect.
+@dataclass(frozen=True)
+class Shift:
+    """How the data of a flight with an effect differ from those without: δ and its V.
+
+    ``left`` (m,) is δ, whitened, ``linear`` the model whose V it is measured by; ``background`` is
+    what of the square is there without the effect, ``places`` those of the values among the view's.
+    """
+
+    linear: Linear
+    left: Array
+    background: float
+    places: Places
+
+
+def shift_between(shown: View, plain: View) -> Shift:
+    """The actual change of the data from the flight without to the flight with an effect.
 
     Where the motion and the rows are the same (a misreading), rows are compared one by one. Where
     the controllers answered, pulses fall elsewhere, and late records let rows pass that hide a
@@ -159,16 +173,27 @@ def changed_size(shown: View, plain: View) -> float:
         and np.array_equal(a.usable_places, b.usable_places)
         for a, b in events
     )
-    if same:
-        return _paired(shown, plain)
-    excess = squared_size(shown.linear, shown.left) - squared_size(plain.linear, plain.left)
-    return float(np.sqrt(max(excess, 0.0)))
-
-
-def _paired(shown: View, plain: View) -> float:
+    if not same:
+        everything = np.arange(len(shown.left))
+        return Shift(shown.linear, shown.left, squared_size(plain.linear, plain.left), everything)
     mine, others, times = _common_rows(shown.times, plain.times)
     linear = _rows_of(plain.linear, others, times)
-    return float(np.sqrt(squared_size(linear, shown.left[mine] - plain.left[others])))
+    return Shift(linear, shown.left[mine] - plain.left[others], 0.0, mine)
+
+
+def changed_size(shown: View, plain: View) -> float:
+    """σ by the actual change of the data (:func:`shift_between`)."""
+    shift = shift_between(shown, plain)
+    square = squared_size(shift.linear, shift.left) - shift.background
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def as_seen(view: View, momentum: Sequence[Array]) -> Array:
+    """Columns (n, 3, S), N m s, of every event's rows as the view has them: (m, S), whitened."""
+    rows = [event.usable_rows.time_s for event in view.events.telemetry]
+    ours, _, _ = _common_rows(rows, view.times)
+    parts = zip(momentum, view.factors, strict=True)
+    return np.concatenate([whitened(part, factor) for part, factor in parts])[ours]
 
 
 def _common_rows(

@@ -27,6 +27,7 @@ from cassini_bayes.effects.flexible_mode import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.studies.blind.alias import nearest_cause
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
@@ -122,10 +123,15 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
             raise
         return {**known, "declined": str(refusal)}
     hidden: tuple[Hidden, ...] = ()
+    told: dict[str, Any] = {}
     if stratum.name != "null":
         none = compact(none_hypothesis(events))
         base = highest_mode(none.log_density, none.model.starts)
-        hidden = choose_hidden(stratum, stage(scene, events, base), rng)
+        set_up = stage(scene, events, base)
+        hidden = choose_hidden(stratum, set_up, rng)
+        if stratum.name == "uncatalogued":
+            alias = nearest_cause(set_up.view(hidden[0]), set_up.plain)
+            told = {"alias": alias.name, "alias_left": alias.left_sigma}
     if hidden:
         events = scene.fly(hidden)
     prepared = time.process_time()
@@ -135,6 +141,7 @@ def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str
         **known,
         **_record(verdict, hidden, rng),
         **_oracle(scene, events, verdict, hidden, rng),
+        **told,
         "cpu_prepare_s": prepared - worked,
         "cpu_diagnose_s": diagnosed - prepared,
         "wall_s": time.monotonic() - began,
