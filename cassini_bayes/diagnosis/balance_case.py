@@ -395,11 +395,11 @@ class BalanceCase(Case[Hypothesis]):
         """Of the momentum that nothing explains (:mod:`.discrepancy`)."""
         return curves_of(self.events, unknown, rng)
 
-    def drafts(self, unknown: Candidate) -> Sequence[Draft]:
-        """Forms of discrepancy in what the baseline leaves (:mod:`.drafts`)."""
+    def drafts(self, weighed: Candidate) -> Sequence[Draft]:
+        """Forms of discrepancy in what is left (:mod:`.drafts`)."""
         if not self.events.telemetry:
             return ()
-        return drafted(self.events, unknown)
+        return drafted(self.events, weighed)
 
     def visible(self, none: Candidate, cause: Candidate) -> dict[str, Any] | None:
         """Of causes of one size (:mod:`.visible`)."""

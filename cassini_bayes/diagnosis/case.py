@@ -299,9 +299,12 @@ class Case(ABC, Generic[H]):
         del unknown, rng
         return ()
 
-    def drafts(self, unknown: Weighed[H]) -> Sequence[Any]:
-        """Effects proposed from what no cause mends, the best first; each has a ``record``."""
-        del unknown
+    def drafts(self, weighed: Weighed[H]) -> Sequence[Any]:
+        """Effects proposed from what ``unknown`` or a cause leaves, the best first.
+
+        Each has a ``record``.
+        """
+        del weighed
         return ()
 
     def visible(self, none: Weighed[H], cause: Weighed[H]) -> dict[str, Any] | None:

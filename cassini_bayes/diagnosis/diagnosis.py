@@ -125,6 +125,8 @@ def diagnose(
     work["curves"] = partial(case.curves, verdict.unknown, of_curves)
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
+    elif extended.is_cause:
+        work["drafts"] = partial(case.drafts, extended)
     if verdict.best is none:
         for part in range(PARTS):
             work[f"visible {part}"] = partial(_visible, case, verdict, part)
@@ -133,6 +135,8 @@ def diagnose(
     kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
     results = workers.results("measures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
+    if verdict.best.name != UNKNOWN and not _is_discrepant(measured.get("extended p")):
+        measured["drafts"] = ()  # nothing is left to draft from
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
     return Diagnosis(
@@ -235,13 +239,17 @@ def _fit_record(
     }
 
 
+def _is_discrepant(p: float | None) -> bool:
+    return p is not None and p < SIGNIFICANT
+
+
 def _gain(base: HeldOut | None, extended: HeldOut | None, p: float | None) -> dict[str, Any]:
     gain = None if base is None or extended is None else extended.gain_over(base)
     return {
         "elpd_diff": None if gain is None else gain.nats,
         "elpd_diff_se": None if gain is None else gain.standard_error,
         "heldout_rmse_ratio": None if gain is None else gain.rmse_ratio,
-        "still_discrepant": None if p is None else p < SIGNIFICANT,
+        "still_discrepant": None if p is None else _is_discrepant(p),
         "p_value": p,
         "verdict": "held-out gain: not measurable" if gain is None else gain.verdict,
     }

@@ -1,4 +1,4 @@
-"""Effects drafted from what the baseline leaves, where no cause of the catalogue mends it.
+"""Effects drafted from what is left where no cause of the catalogue mends it, or not all of it.
 
 A draft is a form of discrepancy with one or a few weights w: columns G of momentum in body axes
 beside the baseline's own, y = X β + G w + noise, with w ~ N(0, a²). With β integrated out and
@@ -9,7 +9,8 @@ V⁻¹ = 1 − X (XᵀX + P)⁻¹ Xᵀ, M = Gᵀ V⁻¹ G, h = Gᵀ V⁻¹ y, it
 Forms are weighed on pieces held out: when and where, which frequency, and a are chosen on all
 pieces but one, S, and the score of the other is Δ(all) − Δ(S). A piece is an event; with fewer than
 three events a quarter of one. All of it is linear about the mode of ``unknown``, where nuisances
-are not bent to explain what is missing: a full diagnosis with the draft's file is the last word.
+are not bent to explain what is missing, or about that of the cause that leaves something: a full
+diagnosis with the draft's file is the last word.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import thrust_columns
+from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
@@ -205,9 +206,16 @@ def _change(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
     return np.asarray(0.5 * (square * rotated**2 / grown - np.log(grown)).sum(-1))
 
 
-def drafted(events: Events, unknown: Weighed[Hypothesis]) -> tuple[Draft, ...]:
-    """One draft of every form, that of the largest held-out gain first; for telemetry."""
-    full, point, left = baseline_at(events, unknown)
+def drafted(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Draft, ...]:
+    """One draft of every form, that of the largest held-out gain first; for telemetry.
+
+    Of what the baseline leaves at the mode of ``unknown``, or of what a cause leaves at its own.
+    """
+    if weighed.is_cause:
+        full, point = weighed.hypothesis, weighed.mode.point
+        left = weighed.remainder or innovations(full, point)
+    else:
+        full, point, left = baseline_at(events, weighed)
     thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
     common = full.model.thrust_prior.common_mean_n
     return drafts_of(left.linear, left.rows, point, thrusts, common)

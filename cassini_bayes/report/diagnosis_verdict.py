@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from cassini_bayes.diagnosis.case import UNKNOWN
 from cassini_bayes.diagnosis.diagnosis import SIGNIFICANT
 from cassini_bayes.diagnosis.score import STANDARD_ERRORS
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
@@ -31,8 +32,9 @@ def verdict_sentences(record: Record) -> list[str]:
     if best["name"] == "none":
         sentences += _visible(record)
     if best["name"] == "unknown":
-        sentences += [*_runner_up(record), *_traces(record), *_drafts(record)]
+        sentences += [*_runner_up(record), *_traces(record)]
     sentences += [*_confounded(best), *_second(record), *_cause_p_value(record, best)]
+    sentences += _drafts(record, best)
     return [sentence for sentence in sentences if sentence]
 
 
@@ -224,15 +226,16 @@ def _traces(record: Record) -> list[str]:
     return sentences
 
 
-def _drafts(record: Record) -> list[str]:
+def _drafts(record: Record, first: Record) -> list[str]:
     """The effect drafted, and its held-out gain."""
     drafts = record.get("drafts", [])
     if not drafts:
         return []
     best = drafts[0]
+    about = UNKNOWN if first["name"] == UNKNOWN else "what is named"
     score = (
         f"{best['heldout_gain_nats']:+,.0f} ± {best['heldout_gain_se_nats']:,.0f} nats, each "
-        f"{best['held_out']} held out in turn, in the linear model about unknown"
+        f"{best['held_out']} held out in turn, in the linear model about {about}"
     ).replace("-", "−")
     if not best["is_gain"]:
         return [

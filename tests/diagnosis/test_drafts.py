@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,20 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.balance.linearised import EventRows, Linear
-from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _information, drafts_of
+from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _information, drafted, drafts_of
+from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.modes import find_mode
+from cassini_bayes.diagnosis.search import search_from_starts
 from cassini_bayes.effects.registry import read_kinds
+from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.report.draft_file import write_drafts
+from cassini_bayes.simulation import scenario_of
+from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.scenario import simulate_file
 
+ROOT = Path(__file__).parents[2]
+SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 N, EVENTS = 300, 4
 Hidden = dict[str, np.ndarray]
 
@@ -111,6 +122,31 @@ def test_the_change_of_evidence_is_that_of_two_normal_densities() -> None:
     expected = multivariate_normal(cov=plain + a**2 * one @ one.T).logpdf(target)
     expected -= multivariate_normal(cov=plain).logpdf(target)
     assert told.change(_Candidate("", {}, (0,), (1,)), a) == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_a_cause_leaves_is_drafted_beside_it() -> None:
+    """Z2 at 60 % is named, and a surge of all thrusters beside it: the draft is the surge alone."""
+    priors = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document["event"] = [e for e in document["event"] if e["id"] == "bias-1"]
+    surge = {"thrust_fraction": 0.06, "start_s": 400.0, "decay_s": 300.0}
+    document["effect"] = [
+        {"name": "thruster_degraded:z2", "parameters": {"thrust_factor": 0.6}},
+        {"name": "pressure_surge", "parameters": surge},
+    ]
+    events = reduced(
+        simulate_file(scenario_of(document, SCENARIO.parent), 11, priors=priors), priors
+    )
+    full = none_hypothesis(events)
+    base = find_mode(compact(full).log_density, full.dimension)
+    cause = compact(extend(full, [events.catalogue.effect("thruster_degraded:z2")]))
+    mode = search_from_starts(cause, base).mode
+    best = drafted(events, Weighed(cause, mode, mode.log_evidence))[0]
+    assert (best.form, best.target) == ("thrust", "all")
+    assert best.numbers["start_s"] == pytest.approx(400.0, abs=60.0)
+    ((share, _),) = best.sizes.values()
+    assert 0.03 < share < 0.06  # the mean of what decays
+    assert best.gain > 100.0
 
 
 def made_up(form: str, numbers: dict[str, float], sizes: list[str]) -> Draft:

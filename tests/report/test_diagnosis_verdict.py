@@ -70,6 +70,11 @@ def test_unknown_names_runner_up_peak_drivers_and_draft() -> None:
     assert "speed of rwa2 (−16 σ)" in text
     assert "+2,687 ± 547 nats, each event held out" in text
     assert "drafts/draft_thrust.py" in text
+    assert "about unknown" in text
+    more = record(cause(CAUSE, 1.0, 40.0, says=SAYS), cause("none", 0.0, 0.0), drafts=[draft])
+    assert "held out in turn, in the linear model about what is named" in "\n".join(
+        verdict_sentences(more)
+    )
     no_gain = record(*whole["causes"], drafts=[draft | {"is_gain": False}])
     assert "No drafted effect predicts" in "\n".join(verdict_sentences(no_gain))
 
