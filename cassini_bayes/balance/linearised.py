@@ -75,6 +75,72 @@ def fitted_away(linear: Linear, target: Array) -> Array:
     return np.asarray(target - linear.columns @ coefficients)
 
 
+@dataclass(frozen=True)
+class Information:
+    """What data say of weights w of further columns C: M (q, q) and h (q,).
+
+    M = Cᵀ V⁻¹ C and h = Cᵀ V⁻¹ y, V = 1 + X P⁻¹ Xᵀ.
+    """
+
+    matrix: Array
+    vector: Array
+
+
+def information(
+    linear: Linear,
+    target: Array,
+    columns: Array,
+    *,
+    used: Array | None = None,
+    groups: Sequence[int] | None = None,
+) -> Information:
+    """Information on whitened columns (m, q) beside a linear model.
+
+    Parameters
+    ----------
+    linear
+        The model with its prior.
+    target
+        y (m,), less what is known of it.
+    columns
+        The further ones.
+    used
+        (m,) which values count; all by default.
+    groups
+        The group of every part; unknowns of one group alone are summed over first. By default
+        every part is its own.
+    """
+    counts = np.ones(len(target), dtype=bool) if used is None else used
+    of_part = np.arange(len(linear.parts)) if groups is None else np.asarray(groups)
+    places = [np.flatnonzero(np.isin(of_part, [group])) for group in np.unique(of_part)]
+    blocks, has = [], []
+    for parts in places:
+        rows = np.concatenate(
+            [np.arange(linear.parts[i].start, linear.parts[i].stop) for i in parts]
+        )
+        rows = rows[counts[rows]]
+        blocks.append((linear.columns[rows], np.column_stack([columns[rows], target[rows]])))
+        has.append(np.any(blocks[-1][0], axis=0))
+    shared = np.flatnonzero(np.sum(has, axis=0) != 1)
+    gram = np.diag(linear.precision[shared])
+    across = np.zeros((len(shared), columns.shape[1] + 1))
+    square = np.zeros((columns.shape[1] + 1, columns.shape[1] + 1))
+    for (block, both), own_has in zip(blocks, has, strict=True):
+        own = np.setdiff1d(np.flatnonzero(own_has), shared, assume_unique=True)
+        common, beside = block[:, shared], block[:, own]
+        inner = beside.T @ beside + np.diag(linear.precision[own])
+        right = np.column_stack([common, both])
+        pulled = beside.T @ right
+        taken = pulled.T @ np.linalg.solve(inner, pulled)
+        whole = right.T @ right - taken
+        n = len(shared)
+        gram += whole[:n, :n]
+        across += whole[:n, n:]
+        square += whole[n:, n:]
+    remaining = square - across.T @ np.linalg.solve(gram, across)
+    return Information(remaining[:-1, :-1], remaining[:-1, -1])
+
+
 def whitened(columns: Array, factor: Array) -> Array:
     """Columns (n, 3, s) of an event in units of its noise, (3 n, s), with its factor (3, 3)."""
     white = np.einsum("ab,nbs->nas", np.linalg.inv(factor), columns)

@@ -59,6 +59,7 @@ from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.symptoms import find_symptoms
+from cassini_bayes.diagnosis.thruster_forms import with_thruster_forms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.diagnosis.widths import by_width, change_of_evidence
@@ -201,7 +202,8 @@ class BalanceCase(Case[Hypothesis]):
                 result = replace(effect, search_result=settled)
                 weighed.append(self._settled(result, (), base, best, workers))
         sampled = _sampled_near_best(weighed, rng, workers)
-        return beginnings.summed(sampled, sampled[0].net_evidence)
+        summed = beginnings.summed(sampled, sampled[0].net_evidence)
+        return with_thruster_forms(summed, events.catalogue.unknown)
 
     def _settled(
         self,

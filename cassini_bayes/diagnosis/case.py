@@ -81,7 +81,9 @@ class Weighed(Generic[H]):
     evidence may be short where it is Laplace's. ``remainder`` is what the hypothesis leaves of
     telemetry, where that was looked at. A cause that may begin with several events has
     ``beginnings``: it stands here as it begins most likely, and the sum over all of them, with
-    their prior probabilities, adds ``summed`` (nats) to its log evidence.
+    their prior probabilities, adds ``summed`` (nats) to its log evidence. So do further forms of
+    ``unknown``: ``forms`` are their names with their shares of its evidence, the first the one that
+    stands here.
     """
 
     hypothesis: H
@@ -96,6 +98,7 @@ class Weighed(Generic[H]):
     remainder: Remainder | None = None
     beginnings: tuple[Beginning[H], ...] = ()
     summed: float = 0.0
+    forms: tuple[tuple[str, float], ...] = ()
 
     @property
     def searched(self) -> tuple[tuple[str, float, Weighed[H]], ...]:
@@ -127,7 +130,7 @@ class Weighed(Generic[H]):
 
     @property
     def net_evidence(self) -> float:
-        """Log evidence, over all beginnings, less what a search before the fit cost (nats)."""
+        """Log evidence, over all beginnings and forms, less what a search before the fit cost."""
         return self.log_evidence + self.summed - self.hypothesis.log_penalty
 
     @property

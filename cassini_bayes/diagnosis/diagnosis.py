@@ -273,6 +273,7 @@ def _cause_records(
             },
             "says": _sentence(case, w, sizes),
             "onset": _onset_record(w),
+            "forms": dict(w.forms),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
             "log_evidence_se": w.log_evidence_se,
             "effective_draws": w.effective_draws,

@@ -21,9 +21,8 @@ from itertools import combinations, pairwise
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import EventRows, Information, Linear, information
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
@@ -145,12 +144,8 @@ class _Columns:
         return np.concatenate(parts)
 
 
-@dataclass(frozen=True)
-class _Information:
-    """Information of some of the rows on all columns: M (q, q) and h (q,)."""
-
-    matrix: Array
-    vector: Array
+class _Information(Information):
+    """Information of some of the rows on all columns."""
 
     def of(self, candidate: _Candidate) -> tuple[Array, Array]:
         """M (k, k) and h (k,) of a candidate's weights."""
@@ -283,20 +278,8 @@ def _information(
     used = np.ones(len(target), dtype=bool)
     for piece in without:
         used[piece] = False
-    across = np.zeros((linear.columns.shape[1], white.shape[1] + 1))
-    gram = np.diag(linear.precision)
-    own = np.zeros((white.shape[1] + 1, white.shape[1] + 1))
-    for part in linear.parts:
-        mask = used[part]
-        block = linear.columns[part][mask]
-        both = np.column_stack([white[part][mask], target[part][mask]])
-        kept = np.flatnonzero(np.any(block, axis=0))
-        block = block[:, kept]
-        gram[np.ix_(kept, kept)] += block.T @ block
-        across[kept] += block.T @ both
-        own += both.T @ both
-    remaining = own - across.T @ cho_solve(cho_factor(gram, lower=True), across)
-    return _Information(remaining[:-1, :-1], remaining[:-1, -1])
+    told = information(linear, target, white, used=used)
+    return _Information(told.matrix, told.vector)
 
 
 def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:

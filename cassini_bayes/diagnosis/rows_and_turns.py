@@ -42,8 +42,25 @@ def with_turns(
 ) -> tuple[Linear, tuple[EventRows, ...]]:
     """Linear model and innovations of all events' rows, then of all their turns, at z (d,).
 
+    Parameters as of :func:`joined`.
+    """
+    both, turned = joined(hypothesis, z, linear, rows)
+    left = fitted_away(both, both.target)
+    events = [
+        _innovations(event, left[part].reshape(-1, 3))
+        for event, part in zip((*rows, *turned), both.parts, strict=True)
+    ]
+    return both, tuple(events)
+
+
+def joined(
+    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[EventRows]
+) -> tuple[Linear, tuple[EventRows, ...]]:
+    """Linear model of all events' rows, then of all their turns, at z (d,); events for the latter.
+
     ``linear`` and ``rows`` are those of the rows alone
-    (:func:`cassini_bayes.diagnosis.innovations.innovations`).
+    (:func:`cassini_bayes.diagnosis.innovations.innovations`), and what is left in these events is
+    still that of the rows.
     """
     located = hypothesis.model.points(z[None])
     terms = [(term.balance, term.physics(located)) for term in hypothesis.model.telemetry]
@@ -74,12 +91,7 @@ def with_turns(
     both = Linear(
         np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
     )
-    left = fitted_away(both, both.target)
-    events = [
-        _innovations(event, left[part].reshape(-1, 3))
-        for event, part in zip((*rows, *turned), both.parts, strict=True)
-    ]
-    return both, tuple(events)
+    return both, tuple(turned)
 
 
 def _innovations(event: EventRows, white: Array) -> EventRows:

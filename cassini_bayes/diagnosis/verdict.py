@@ -156,5 +156,9 @@ def with_second_cause(
     pair = case.confirmed(best, rng)
     if not verdict.best.is_cause and pair.score < verdict.best.score:
         return verdict
+    # what stood beside the first cause is named now
+    alone = [replace(w, summed=0.0, forms=()) if w.forms else w for w in verdict.weighed]
+    plain = ranked(alone)
+    verdict = replace(verdict, weighed=plain.weighed, log_probabilities=plain.log_probabilities)
     alike = [w for w in verdict.pairs if w is not best and is_indistinguishable(w, best)]
     return replace(verdict, pair=pair, equal_seconds=tuple(w.hypothesis.causes[-1] for w in alike))

@@ -90,7 +90,9 @@ class Unknown:
 
     Momentum wanders with ``torque_noise`` (N m s^½); hold rates are ``hold_rate_factor`` times
     those of the priors file within a factor of exp(``hold_rate_log_sd``); printed thrusts are off
-    by a fraction ``estimate_sd``, printed on-times by ``on_time_noise`` (s), each on its own.
+    by a fraction ``estimate_sd``, printed on-times by ``on_time_noise`` (s), each on its own. Of
+    the forms that go with thrusters ``thrust_drift`` (a share of the thrust) and ``lever_m`` are
+    the least and the most.
     """
 
     torque_noise: Distribution
@@ -98,6 +100,8 @@ class Unknown:
     hold_rate_log_sd: float
     estimate_sd: float
     on_time_noise: Distribution
+    thrust_drift: tuple[float, float]
+    lever_m: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -270,4 +274,19 @@ def _unknown(unknown: Mapping[str, Any], where: Place) -> Unknown:
         values["hold_rate_log_sd"],
         values["estimate_sd"],
         about("on_time_noise_median_s", "on_time_noise_log_sd"),
+        _ordered(values, "thrust_drift_least", "thrust_drift_most", where),
+        _ordered(values, "lever_least_m", "lever_most_m", where),
     )
+
+
+def _ordered(
+    values: Mapping[str, float], least: str, most: str, where: Place
+) -> tuple[float, float]:
+    if not values[least] < values[most]:
+        raise InputError(
+            str(where / most),
+            f"more than {least}",
+            f"{values[most]:g} and {values[least]:g}",
+            "mend the table",
+        )
+    return values[least], values[most]

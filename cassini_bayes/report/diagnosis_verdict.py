@@ -19,6 +19,11 @@ Record = Mapping[str, Any]
 MOST_NAMED: Final = 4  # confounded causes in a sentence; more are counted
 CERTAIN: Final = 0.999  # a probability above is not worth its digits
 UNITS: Final[Mapping[str, str]] = {"rmse_nms": "N m s", "rmse_n": "N", "rmse_s": "s"}
+FORMS: Final[Mapping[str, str]] = {
+    "torque": "torque that wanders, whatever fires,",
+    "drift": "thrust that changes with time, alike in all thrusters,",
+    "lever": "torque that thrusters have beside their own",
+}
 _NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 _TESTED: Final = (
     "The p-value and the symptoms look at what is left once everything free has been fitted"
@@ -32,7 +37,7 @@ def verdict_sentences(record: Record) -> list[str]:
     if best["name"] == "none":
         sentences += _visible(record)
     if best["name"] == "unknown":
-        sentences += [*_runner_up(record), *_traces(record)]
+        sentences += [*_forms(best), *_runner_up(record), *_traces(record)]
     sentences += [*_confounded(best), *_second(record), *_cause_p_value(record, best)]
     sentences += _drafts(record, best)
     return [sentence for sentence in sentences if sentence]
@@ -181,6 +186,17 @@ def _visible(record: Record) -> list[str]:
         return []
     named = "; ".join(list(hardest.values())[:MOST_NAMED])
     return [f"Nine of ten such flights would have shown, at odds of nine to one: {named}."]
+
+
+def _forms(best: Record) -> list[str]:
+    """Which form of ``unknown`` it is, where that is more likely than not."""
+    forms = best.get("forms") or {}
+    if not forms:
+        return []
+    form, share = max(forms.items(), key=lambda pair: pair[1])
+    if share < 0.5:
+        return []
+    return [f"Of its forms {FORMS[form]} has {probability_words(share)} of the probability."]
 
 
 def _runner_up(record: Record) -> list[str]:

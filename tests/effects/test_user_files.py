@@ -95,7 +95,8 @@ def test_the_worked_example_is_flown_and_named(
     alone = read.read_events(events, priors, "flight")
     without = weigh(BalanceCase(alone), np.random.default_rng(1), pairs=False)
     assert without.best.name in {"unknown", *FEW} - {"plume:z3"}
-    assert without.best.net_evidence < record["extended"]["log_evidence"]
+    assert without.best_cause is not None
+    assert without.best_cause.net_evidence < record["extended"]["log_evidence"]
 
 
 def copied(folder: Path, old: str, new: str, suffix: str = ".py") -> Path:

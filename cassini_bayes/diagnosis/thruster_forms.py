@@ -1,0 +1,175 @@
+"""What thrusters do that no cause of the catalogue has: two more forms of ``unknown``.
+
+``unknown`` is torque that wanders, whatever fires. Two forms go with the thrusters:
+
+* *drift*: the thrust of all of them changes with time, event by event, F (1 + δ(t)),
+
+      δ(t) = a Σ_m g_m √2 cos(mπt/T)/(m c),   c² = Σ_m 1/m²,   g_m ~ N(0, 1),   m = 1 … 6;
+
+* *lever*: a thruster turns the body by more than its arm, by F l, l ~ N(0, b²) in every axis, the
+  same in all events.
+
+Both are columns of momentum in rows and in turns of quiet pieces, linear in g and l. Beside a
+hypothesis that is linear about its mode they change its log evidence by
+
+    Δ(a) = ½ hᵀ (M + a⁻²)⁻¹ h − ½ log |1 + a² M|,
+
+M and h those of :func:`cassini_bayes.balance.linearised.information`, summed over a or b that are
+log-uniform between bounds (:class:`cassini_bayes.effects.registry.Unknown`). They are weighed
+beside the most probable of ``none`` and the causes: what goes with thrusters is mostly bent into
+the cause that is nearest to it (docs/topics/criticism.md §1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from scipy.special import logsumexp
+
+from cassini_bayes.balance.linearised import EventRows, Information, information, whitened
+from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
+from cassini_bayes.diagnosis.rows_and_turns import joined
+from cassini_bayes.effects.registry import Unknown
+
+TORQUE: Final = "torque"
+DRIFT: Final = "drift"
+LEVER: Final = "lever"
+COSINES: Final = 6
+"""Of an event's drift: judgement, a surge of minutes in half an hour; the faster a change is, the
+less momentum it brings."""
+NODES: Final = 25  # of a scale between its bounds: a factor of 1.18 apart
+
+
+def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, float]:
+    """Change of a hypothesis's log evidence by every form, nats; none where nothing fires.
+
+    Parameters
+    ----------
+    weighed
+        ``none`` or a cause with its mode, of telemetry.
+    unknown
+        Bounds of the scales.
+    """
+    hypothesis, point = weighed.hypothesis, weighed.mode.point
+    model = hypothesis.model
+    if not any(term.balance.fires for term in model.telemetry):
+        return {}
+    left = weighed.remainder or innovations(hypothesis, point)
+    linear, turned = joined(hypothesis, point, left.linear, left.rows)
+    located = model.points(point[None])
+    expected = model.thrust_prior.common_mean_n
+    names = tuple(dict.fromkeys(name for event in left.rows for name in event.thrusters))
+    drift, lever = [], []
+    for place, (event, term) in enumerate(zip(left.rows, model.telemetry, strict=True)):
+        turn = direction_cosines(event.attitude)
+        # momentum in inertial axes, by what was fired from row to row
+        per_newton = np.einsum("nai,nak->nik", turn, thrust_columns(hypothesis, point, place))
+        fired = expected * np.diff(per_newton, axis=0, prepend=per_newton[:1])
+        drift.append(_drift(event.time_s, turn, fired))
+        if fired.shape[2] > 0:
+            arms = np.broadcast_to(term.physics(located).arms_m, (1, *fired.shape[1:]))[0]
+            impulse = np.linalg.norm(fired, axis=1) / np.linalg.norm(arms, axis=0)
+            own = _lever(turn, impulse)
+        else:
+            own = np.zeros((len(event.time_s), 3, 0))
+        lever.append(_of_all(own, event.thrusters, names))
+    columns = _placed(left.rows, turned, drift, lever)
+    target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
+    told = information(linear, target, columns, groups=[*range(len(left.rows))] * 2)
+    count = sum(own.shape[2] for own in drift)
+    return {
+        DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
+        LEVER: _summed(told, slice(count, None), unknown.lever_m),
+    }
+
+
+def _drift(time_s: Array, turn: Array, fired: Array) -> Array:
+    """Columns (n, 3, M) of a drift of one: what was fired (n, 3, K), N m s, times each cosine."""
+    since = (time_s - time_s[0]) / max(time_s[-1] - time_s[0], 1.0)
+    order = np.arange(1, COSINES + 1) if fired.shape[2] > 0 else np.arange(0)
+    shares = np.sqrt(2.0) * np.cos(np.pi * np.outer(since, order)) / np.maximum(order, 1)
+    shares /= np.sqrt((1.0 / np.arange(1, COSINES + 1) ** 2).sum())
+    inertial = np.cumsum(fired.sum(axis=2)[:, :, None] * shares[:, None], axis=0)
+    return np.asarray(np.einsum("nai,nim->nam", turn, inertial))
+
+
+def _lever(turn: Array, impulse: Array) -> Array:
+    """Columns (n, 3, 3 K), N s, of impulses (n, K) about each body axis of every thruster."""
+    # what a thruster gave about a body axis stays in inertial space as it was given
+    given = np.cumsum(np.einsum("nci,nk->nikc", turn, impulse), axis=0)
+    about = np.einsum("nai,nikc->nakc", turn, given)
+    return np.asarray(about.reshape(len(turn), 3, -1))
+
+
+def _of_all(own: Array, thrusters: Sequence[str], names: Sequence[str]) -> Array:
+    """An event's columns (n, 3, 3 K) among those of all thrusters of all events."""
+    result = np.zeros((len(own), 3, len(names), 3))
+    places = [names.index(name) for name in thrusters]
+    result[:, :, places] = own.reshape(len(own), 3, -1, 3)
+    return result.reshape(len(own), 3, -1)
+
+
+def _placed(
+    rows: Sequence[EventRows],
+    turned: Sequence[EventRows],
+    apart: Sequence[Array],
+    common: Sequence[Array],
+) -> Array:
+    """Whitened columns (m, q) of all rows, then of all turns: event by event, then common ones."""
+    width = sum(own.shape[2] for own in apart)
+    of_rows, of_turns, first = [], [], 0
+    for event, turns, own, shared in zip(rows, turned, apart, common, strict=True):
+        n = len(own)
+        whole = np.zeros((n, 3, width + shared.shape[2]))
+        whole[:, :, first : first + own.shape[2]] = own
+        whole[:, :, width:] = shared
+        first += own.shape[2]
+        of_rows.append(whitened(whole, event.noise_factor))
+        assert turns.turns is not None
+        integrated = turns.turns.pieces.integrated(whole.reshape(n, -1)).reshape(whole.shape)
+        white = whitened(integrated, turns.noise_factor).reshape(whole.shape)
+        of_turns.append(turns.turns.whitened_axes(white).reshape(3 * n, -1))
+    return np.concatenate([*of_rows, *of_turns])
+
+
+def _summed(told: Information, which: slice, bounds: tuple[float, float]) -> float:
+    """Log of the mean over scales, log-uniform between bounds, of the change of the evidence."""
+    values, vectors = np.linalg.eigh(told.matrix[which, which])
+    kappa, rotated = np.maximum(values, 0.0), vectors.T @ told.vector[which]
+    square = np.geomspace(*bounds, NODES)[:, None] ** 2
+    grown = 1.0 + square * kappa
+    changes = 0.5 * (square * rotated**2 / grown - np.log(grown)).sum(axis=1)
+    return float(logsumexp(changes) - np.log(NODES))
+
+
+def with_thruster_forms(
+    weighed: Sequence[Weighed[Hypothesis]], unknown: Unknown
+) -> list[Weighed[Hypothesis]]:
+    """Everything weighed, with all forms in the evidence of ``unknown``.
+
+    Each form of three has a third of its prior probability. Those of the thrusters stand beside the
+    most probable of ``none`` and the causes, and have its evidence and prior probability.
+    """
+    named = [w for w in weighed if w.name != UNKNOWN]
+    best = max(named, key=lambda w: w.score)
+    forms = thruster_forms(best, unknown)
+    if not forms:
+        return list(weighed)
+    return [with_forms(w, best.score, forms) if w.name == UNKNOWN else w for w in weighed]
+
+
+def with_forms(unknown: Weighed[H], beside: float, forms: Mapping[str, float]) -> Weighed[H]:
+    """``unknown`` with further forms that change a score, log of evidence times prior, by some."""
+    alone = replace(unknown, summed=0.0, forms=())
+    each = {TORQUE: alone.net_evidence, **{name: beside + nats for name, nats in forms.items()}}
+    scores = np.array(list(each.values())) - np.log(len(each))
+    total = float(logsumexp(scores))
+    shares = tuple(zip(each, np.exp(scores - total).tolist(), strict=True))
+    return replace(alone, summed=total - alone.net_evidence, forms=shares)
