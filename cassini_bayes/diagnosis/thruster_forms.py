@@ -44,6 +44,7 @@ LEVER: Final = "lever"
 COSINES: Final = 6
 """Of an event's drift: judgement, a surge of minutes in half an hour; the faster a change is, the
 less momentum it brings."""
+LEAST_ARM_M: Final = 1e-6  # of a thruster through the c.m., which turns nothing
 NODES: Final = 25  # of a scale between its bounds: a factor of 1.18 apart
 
 
@@ -75,7 +76,8 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         drift.append(_drift(event.time_s, turn, fired))
         if fired.shape[2] > 0:
             arms = np.broadcast_to(term.physics(located).arms_m, (1, *fired.shape[1:]))[0]
-            impulse = np.linalg.norm(fired, axis=1) / np.linalg.norm(arms, axis=0)
+            length_m = np.maximum(np.linalg.norm(arms, axis=0), LEAST_ARM_M)
+            impulse = np.linalg.norm(fired, axis=1) / length_m
             own = _lever(turn, impulse)
         else:
             own = np.zeros((len(event.time_s), 3, 0))
