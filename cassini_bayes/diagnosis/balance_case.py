@@ -24,6 +24,7 @@ from cassini_bayes.diagnosis.case import (
     Weighed,
     Work,
 )
+from cassini_bayes.diagnosis.coarse_counters import with_levels
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
@@ -203,7 +204,7 @@ class BalanceCase(Case[Hypothesis]):
                 weighed.append(self._settled(result, (), base, best, workers))
         sampled = _sampled_near_best(weighed, rng, workers)
         summed = beginnings.summed(sampled, sampled[0].net_evidence)
-        return with_thruster_forms(summed, events.catalogue.unknown)
+        return with_thruster_forms(with_levels(summed), events.catalogue.unknown)
 
     def _settled(
         self,

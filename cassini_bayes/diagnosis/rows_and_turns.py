@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.bands import walk_scales
-from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, with_unknowns
+from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, whitened, with_unknowns
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import Rows, walk_columns
 from cassini_bayes.balance.statistics.turns import (
@@ -92,6 +92,23 @@ def joined(
         np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
     )
     return both, tuple(turned)
+
+
+def placed(
+    rows: Sequence[EventRows], turned: Sequence[EventRows], momentum: Sequence[Array]
+) -> Array:
+    """Columns (n, 3, q), N m s, of every event's rows as whitened rows, then turns: (m, q).
+
+    ``rows`` and ``turned`` are those of :func:`joined`.
+    """
+    of_rows, of_turns = [], []
+    for event, turns, own in zip(rows, turned, momentum, strict=True):
+        of_rows.append(whitened(own, event.noise_factor))
+        assert turns.turns is not None
+        integrated = turns.turns.pieces.integrated(own.reshape(len(own), -1)).reshape(own.shape)
+        white = whitened(integrated, turns.noise_factor).reshape(own.shape)
+        of_turns.append(turns.turns.whitened_axes(white).reshape(3 * len(own), -1))
+    return np.concatenate([*of_rows, *of_turns])
 
 
 def _innovations(event: EventRows, white: Array) -> EventRows:

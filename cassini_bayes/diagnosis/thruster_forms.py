@@ -29,13 +29,13 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import EventRows, Information, information, whitened
+from cassini_bayes.balance.linearised import Information, information
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
-from cassini_bayes.diagnosis.rows_and_turns import joined
+from cassini_bayes.diagnosis.rows_and_turns import joined, placed
 from cassini_bayes.effects.registry import Unknown
 
 TORQUE: Final = "torque"
@@ -82,7 +82,7 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         else:
             own = np.zeros((len(event.time_s), 3, 0))
         lever.append(_of_all(own, event.thrusters, names))
-    columns = _placed(left.rows, turned, drift, lever)
+    columns = placed(left.rows, turned, _side_by_side(drift, lever))
     target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
     told = information(linear, target, columns, groups=[*range(len(left.rows))] * 2)
     count = sum(own.shape[2] for own in drift)
@@ -118,27 +118,16 @@ def _of_all(own: Array, thrusters: Sequence[str], names: Sequence[str]) -> Array
     return result.reshape(len(own), 3, -1)
 
 
-def _placed(
-    rows: Sequence[EventRows],
-    turned: Sequence[EventRows],
-    apart: Sequence[Array],
-    common: Sequence[Array],
-) -> Array:
-    """Whitened columns (m, q) of all rows, then of all turns: event by event, then common ones."""
-    width = sum(own.shape[2] for own in apart)
-    of_rows, of_turns, first = [], [], 0
-    for event, turns, own, shared in zip(rows, turned, apart, common, strict=True):
-        n = len(own)
-        whole = np.zeros((n, 3, width + shared.shape[2]))
+def _side_by_side(apart: Sequence[Array], common: Sequence[Array]) -> list[Array]:
+    """Columns (n, 3, q) of every event: those of each event by itself, then common ones."""
+    width, first, result = sum(own.shape[2] for own in apart), 0, []
+    for own, shared in zip(apart, common, strict=True):
+        whole = np.zeros((len(own), 3, width + shared.shape[2]))
         whole[:, :, first : first + own.shape[2]] = own
         whole[:, :, width:] = shared
         first += own.shape[2]
-        of_rows.append(whitened(whole, event.noise_factor))
-        assert turns.turns is not None
-        integrated = turns.turns.pieces.integrated(whole.reshape(n, -1)).reshape(whole.shape)
-        white = whitened(integrated, turns.noise_factor).reshape(whole.shape)
-        of_turns.append(turns.turns.whitened_axes(white).reshape(3 * n, -1))
-    return np.concatenate([*of_rows, *of_turns])
+        result.append(whole)
+    return result
 
 
 def _summed(told: Information, which: slice, bounds: tuple[float, float]) -> float:

@@ -1,0 +1,106 @@
+"""What a cause gains where every rounding of a counter has a column of its own.
+
+What coarse counters leave open is noise of bands in the likelihood, a draw of its own in every
+contrast. It comes from few levels where rows are long without firing, so that a cause that changes
+pulses may win by them alone (docs/topics/telemetry-likelihood.md §11). In the linear model of rows
+and turns every rounding has a column. With r what a cause leaves at its mode, d what it adds there
+at its size, and V of all nuisances and roundings, it gains
+
+    ½ (r + d)ᵀ V⁻¹ (r + d) − ½ rᵀ V⁻¹ r − ½ |z|²  =  dᵀ V⁻¹ r + ½ dᵀ V⁻¹ d − ½ |z|²
+
+over the baseline, z the standard values of its size. Where the likelihood says more than that, the
+lesser counts. Causes of inertia, wheels and gyro are left out: what they add is made of the
+channels, whose noise is smoothed in the linear model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cassini_bayes.balance.linearised import Linear, information
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import NONE, Weighed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.innovations import effect_momentum, innovations
+from cassini_bayes.diagnosis.modes import LOG_2_PI
+from cassini_bayes.diagnosis.rows_and_turns import joined, placed
+
+COARSE_STEP_S: Final = 3e-3
+"""Steps below which band and columns agree: with 1 ms the truth of a flight is 13 nats below the
+highest density by either (docs/results/likelihood-experiments.md)."""
+
+
+def has_coarse_counters(hypothesis: Hypothesis) -> bool:
+    """Whether some event has counters in coarse steps, and any width of pulses."""
+    return any(
+        float(np.sqrt(12.0 * term.balance.statistics.counters.open_s2.max(initial=0.0)))
+        > COARSE_STEP_S
+        for term in hypothesis.model.telemetry
+    )
+
+
+def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
+    """Whether a cause leaves body, wheels and gyro as they are at a point (d,) of its model.
+
+    One that a search has settled has columns of its own, and is no such cause.
+    """
+    if any(effect.search_result is not None for effect in cause.effects):
+        return False
+    before = none.model.points(point[None, : none.dimension])
+    after = cause.model.points(point[None])
+    return all(
+        np.allclose(own.momentum_per_rate, other.momentum_per_rate)
+        and np.allclose(own.wheel_weights, other.wheel_weights)
+        and np.allclose(own.rate_bias_rad_s, other.rate_bias_rad_s)
+        for own, other in (
+            (a.physics(before), b.physics(after))
+            for a, b in zip(none.model.telemetry, cause.model.telemetry, strict=True)
+        )
+    )
+
+
+def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
+    """Log density (nats) that a cause gains over the baseline in the linear model at its mode."""
+    hypothesis, point = cause.hypothesis, cause.mode.point
+    d = none.dimension
+    left = cause.remainder or innovations(hypothesis, point)
+    linear, turned = joined(hypothesis, point, left.linear, left.rows)
+    nuisances = np.r_[0:d, len(point) : linear.columns.shape[1]]
+    without = Linear(
+        linear.target, linear.columns[:, nuisances], linear.precision[nuisances], linear.rows
+    )
+    target = linear.target + linear.columns[:, :d] @ point[:d]  # about the prior mean
+    added = effect_momentum(none, point[:d], [(hypothesis, point[None, d:])])
+    columns = placed(left.rows, turned, added)
+    told = information(without, target, columns, groups=[*range(len(left.rows))] * 2)
+    gained = told.vector[0] + 0.5 * told.matrix[0, 0]
+    return float(gained - 0.5 * point[d:] @ point[d:])
+
+
+def with_levels(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothesis]]:
+    """Everything weighed; causes of pulses ahead of ``none`` have the lesser of both gains.
+
+    From the most probable on, until one of them that was looked at stays ahead.
+    """
+    result = list(weighed)
+    none = next(w for w in result if w.name == NONE)
+    if not has_coarse_counters(none.hypothesis):
+        return result
+    seen: set[str] = set()
+    while True:
+        best = max((w for w in result if w.is_cause), key=lambda w: w.score, default=none)
+        if best.score <= none.score or best.name in seen:
+            return result
+        seen.add(best.name)
+        hypothesis, point = best.hypothesis, best.mode.point
+        if not acts_on_pulses(none.hypothesis, hypothesis, point):
+            return result
+        extra = len(point) - none.hypothesis.dimension
+        by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
+        lacking = min(gain_by_levels(none.hypothesis, best) - by_bands, 0.0)
+        changed = replace(best, summed=best.summed + lacking)
+        result = [changed if w is best else w for w in result]

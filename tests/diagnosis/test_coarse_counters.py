@@ -1,0 +1,97 @@
+"""Gains by levels of roundings: what is there keeps them, what roundings make up has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.coarse_counters import (
+    acts_on_pulses,
+    gain_by_levels,
+    has_coarse_counters,
+    with_levels,
+)
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.modes import LOG_2_PI, highest_mode
+from cassini_bayes.diagnosis.search import search_from_starts, with_whole_curvature
+from cassini_bayes.studies.blind.flights import Blind, Hidden
+from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
+
+ROOT = Path(__file__).parents[2]
+SEED, TRIAL = 20263603, 97  # one bias, counters of 10 ms, adapted widths, rates ten times finer
+
+
+@cache
+def flown(*hidden: str) -> tuple[Events, Weighed[Hypothesis]]:
+    """That flight, with a thruster at half its thrust or nothing hidden, and its baseline."""
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    campaign = Blind(scenario, ROOT / "priors", SEED, (), OVER_CONDITIONS, over_conditions=True)
+    effects = [Hidden(name, {"thrust_factor": 0.5}, float("nan")) for name in hidden]
+    events = campaign.scene(campaign.stream(TRIAL)).fly(effects)
+    none = compact(none_hypothesis(events))
+    mode = highest_mode(none.log_density, none.model.starts)
+    return events, Weighed(none, mode, mode.log_evidence)
+
+
+def weighed(name: str, *hidden: str) -> Weighed[Hypothesis]:
+    """A cause at its mode."""
+    events, none = flown(*hidden)
+    cause = compact(extend(none_hypothesis(events), [events.catalogue.effect(name)]))
+    mode = with_whole_curvature(cause, search_from_starts(cause, none.mode).mode)
+    return Weighed(cause, mode, mode.log_evidence)
+
+
+def by_bands(none: Weighed[Hypothesis], cause: Weighed[Hypothesis]) -> float:
+    """Log density that the likelihood has more at the cause's mode."""
+    extra = len(cause.mode.point) - len(none.mode.point)
+    return cause.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
+
+
+def test_what_roundings_make_up_is_no_cause() -> None:
+    """Nothing hidden, and pulses 33 ms longer by 70 nats: by levels they are worse than none."""
+    _, none = flown()
+    cause = weighed("pulse_shape")
+    assert by_bands(none, cause) > 50.0
+    assert gain_by_levels(none.hypothesis, cause) < 0.0
+    before, after = with_levels([none, cause])
+    assert before is none
+    assert after.score < none.score
+    assert after.net_evidence == pytest.approx(
+        cause.net_evidence - by_bands(none, cause) + gain_by_levels(none.hypothesis, cause)
+    )
+
+
+def test_a_cause_that_is_there_keeps_what_it_gains() -> None:
+    """A thruster at half its thrust gains as much and more by levels, and stays as it is."""
+    name = "thruster_degraded:y2"
+    _, none = flown(name)
+    cause = weighed(name, name)
+    assert by_bands(none, cause) > 10.0
+    assert gain_by_levels(none.hypothesis, cause) > 0.9 * by_bands(none, cause)
+    assert with_levels([none, cause])[1].net_evidence > 0.9 * by_bands(none, cause) + (
+        none.net_evidence
+    )
+
+
+def test_causes_of_the_channels_are_left_as_they_are() -> None:
+    """An inertia is no matter of pulses, and counters of 1 ms are none of this module."""
+    _, none = flown()
+    inertia = weighed("inertia:xx")
+    assert not acts_on_pulses(none.hypothesis, inertia.hypothesis, inertia.mode.point)
+    ahead = replace(inertia, log_evidence=none.log_evidence + 40.0)
+    assert with_levels([none, ahead])[1] is ahead
+    assert has_coarse_counters(none.hypothesis)
+
+
+def test_a_thruster_acts_on_pulses() -> None:
+    """Body, wheels and gyro stay as they are."""
+    _, none = flown()
+    cause = weighed("thruster_misalignment:y2")
+    point = cause.mode.point + 0.1 * np.eye(len(cause.mode.point))[-1]
+    assert acts_on_pulses(none.hypothesis, cause.hypothesis, point)
