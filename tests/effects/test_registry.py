@@ -100,6 +100,10 @@ unit = "m"
         ("[causes]\nnone = 2.0\ncatalogued = -1.0\nunknown = 0.0\n", "line 1: causes: "),
         ("[unknown]\nestimate_sd = 0.0\n", "line 2: unknown.estimate_sd: .*positive"),
         ("[unknown]\nestimate_sd = nan\n", "line 2: unknown.estimate_sd: .*finite"),
+        (
+            "[unknown]\nlever_most_m = 0.004\n",
+            "line 2: unknown.lever_most_m: .*more than lever_least_m",
+        ),
         ("a = " + "[" * 3_000, "at most 32 levels"),
         ("a = " + "9" * 5_000, "at most 400 characters"),
         (LEAK + "scale = -1.0\n", "line 1: .*leak_n.scale: .*above 0"),
