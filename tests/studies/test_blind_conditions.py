@@ -26,7 +26,7 @@ from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import Classifier, sizes_of
 from cassini_bayes.studies.blind.rates import CLEAR, WITHOUT_DECLINED, rates
 from cassini_bayes.studies.blind.sizes import (
-    BESIDE_NONE,
+    SEEN_AT,
     Growth,
     Stage,
     draw_path,
@@ -164,7 +164,7 @@ def test_a_size_needs_no_mode_of_the_same_parameters() -> None:
 
 
 def test_late_records_show_nothing_up_to_a_control_cycle_and_then_much() -> None:
-    """Pulses start with cycles of 0.125 s; control: the model has a curvature there."""
+    """Pulses start with cycles of 0.125 s; control: the model has a curvature at 0.3 s."""
     scene = scene_of(events="one bias", cadence="1 s", controller="hysteresis", rates="as flown")
     events = scene.fly(())
     on = stage(scene, events, baseline(events))
@@ -174,8 +174,7 @@ def test_late_records_show_nothing_up_to_a_control_cycle_and_then_much() -> None
     below, still, above = (hidden.sigma for hidden in sizes if hidden is not None)
     assert max(below, still) < 1.0
     assert above > 7.0
-    by_model = 0.06 * sensitivity(events, on.base, path, BESIDE_NONE)
-    assert by_model > 1.5
+    assert 0.06 * sensitivity(events, on.base, path, SEEN_AT["time_offset"]) > 1.5
 
 
 def sigma_of(oracle: Classifier, name: str, size: np.ndarray) -> float:

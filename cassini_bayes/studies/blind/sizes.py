@@ -41,6 +41,9 @@ NEWTON_STEPS: Final = 3
 STEP: Final = 0.05  # standard deviations, for slopes
 SHIFT: Final = 5e-3  # prior scales: small enough for the noise levels to stay where they are
 BESIDE_NONE: Final = 4.0 * SHIFT  # prior scales: SHIFT to either side is on one side of none
+SEEN_AT: Final[Mapping[str, float]] = {"time_offset": 0.3}
+"""Prior scales at which a kind is first seen: pulses that a record has just hidden have given
+nothing, so that beside none it has no curvature."""
 MOST_FLIGHTS: Final = 6
 MOST_DRAWS: Final = 50
 SAME_SIZE: Final = 0.05
@@ -233,6 +236,7 @@ def sized_between(
     path = draw_path(effect, rng)
     # over conditions beside none: a kinked effect has no curvature there
     at = 0.0 if stage.scene.condition is None else BESIDE_NONE
+    at = SEEN_AT.get(effect.kind.name, at)
     rate = sensitivity(stage.events, stage.base, path, at)
     if rate <= 0.0 or low / rate > LARGEST_IN_PRIOR_SCALES:
         return None
