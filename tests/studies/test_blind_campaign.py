@@ -84,7 +84,7 @@ def test_what_a_cause_explains_is_not_asked_to_be_unknown() -> None:
     alias = record(8, "uncatalogued", "plume", "tail_off", alias="tail_off", alias_left=1.2)
     refused = {"index": 9, "stratum": "uncatalogued", "declined": "too coarse"}
     table = rates([RECORDS[5], alias, refused]).set_index("rate")
-    own = "uncatalogued: unknown first, where the oracle tells it from all causes"
+    own = "uncatalogued: unknown first (where the oracle tells it apart)"
     assert table.loc[own, ["hits", "trials", "goal"]].to_list() == [1, 2, 0.90]
     assert table.loc["uncatalogued: unknown first", ["hits", "trials"]].to_list() == [1, 3]
     assert np.isnan(table.loc["uncatalogued: unknown first", "goal"])
