@@ -112,13 +112,10 @@ def information(
     """
     counts = np.ones(len(target), dtype=bool) if used is None else used
     of_part = np.arange(len(linear.parts)) if groups is None else np.asarray(groups)
-    places = [np.flatnonzero(np.isin(of_part, [group])) for group in np.unique(of_part)]
+    of_value = np.repeat(of_part, 3 * np.array(linear.rows))
     blocks, has = [], []
-    for parts in places:
-        rows = np.concatenate(
-            [np.arange(linear.parts[i].start, linear.parts[i].stop) for i in parts]
-        )
-        rows = rows[counts[rows]]
+    for group in np.unique(of_part):
+        rows = np.flatnonzero((of_value == group) & counts)
         blocks.append((linear.columns[rows], np.column_stack([columns[rows], target[rows]])))
         has.append(np.any(blocks[-1][0], axis=0))
     shared = np.flatnonzero(np.sum(has, axis=0) != 1)
@@ -139,6 +136,24 @@ def information(
         square += whole[n:, n:]
     remaining = square - across.T @ np.linalg.solve(gram, across)
     return Information(remaining[:-1, :-1], remaining[:-1, -1])
+
+
+def diagonal(matrix: Array, vector: Array) -> tuple[Array, Array]:
+    """Eigenvalues κ (q,) of M (q, q), none below zero, and h (q,) along its eigenvectors."""
+    if len(vector) == 1:
+        return np.maximum(matrix[0], 0.0), vector
+    kappa, vectors = np.linalg.eigh(matrix)
+    return np.maximum(kappa, 0.0), vectors.T @ vector
+
+
+def change_of_evidence(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
+    """Change (n,) of the log evidence by weights w ~ N(0, a²), for amplitudes a (n,).
+
+    ½ hᵀ (M + a⁻²)⁻¹ h − ½ log |1 + a² M|, with M and h as :func:`diagonal` has them.
+    """
+    square = amplitudes[:, None] ** 2
+    grown = 1.0 + square * kappa
+    return np.asarray(0.5 * (square * rotated**2 / grown - np.log(grown)).sum(-1))
 
 
 def whitened(columns: Array, factor: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Generic, Protocol, TypeVar
 
@@ -127,6 +127,11 @@ class Weighed(Generic[H]):
     def is_cause(self) -> bool:
         """Whether it is a cause and neither ``none`` nor ``unknown``."""
         return bool(self.hypothesis.causes)
+
+    @property
+    def without_forms(self) -> Weighed[H]:
+        """As it stands here, without further forms of ``unknown``."""
+        return replace(self, summed=0.0, forms=()) if self.forms else self
 
     @property
     def net_evidence(self) -> float:

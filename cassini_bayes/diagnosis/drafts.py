@@ -22,7 +22,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Information, Linear, information
+from cassini_bayes.balance.linearised import (
+    EventRows,
+    Information,
+    Linear,
+    change_of_evidence,
+    diagonal,
+    information,
+    whitened,
+)
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
@@ -138,9 +146,8 @@ class _Columns:
         """All columns (m, q), whitened."""
         parts = []
         for place, event in enumerate(self.rows):
-            whitened = np.stack([block[place] for block in self.blocks], axis=2)
-            inverse = np.linalg.inv(event.noise_factor)
-            parts.append(np.einsum("ab,nbq->naq", inverse, whitened).reshape(3 * len(whitened), -1))
+            own = np.stack([block[place] for block in self.blocks], axis=2)
+            parts.append(whitened(own, event.noise_factor))
         return np.concatenate(parts)
 
 
@@ -163,8 +170,8 @@ class _Information(Information):
     def change(self, candidate: _Candidate, amplitude: float) -> float:
         """Δ(a), nats."""
         matrix, vector = self.of(candidate)
-        kappa, rotated = _diagonal(matrix, vector)
-        return float(_change(kappa, rotated, np.array([amplitude]))[0])
+        kappa, rotated = diagonal(matrix, vector)
+        return float(change_of_evidence(kappa, rotated, np.array([amplitude]))[0])
 
     def best(self, candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
         """The candidate of largest Δ, and its a."""
@@ -173,11 +180,11 @@ class _Information(Information):
         return candidate, amplitude
 
     def _amplitude(self, candidate: _Candidate) -> tuple[float, float]:
-        kappa, rotated = _diagonal(*self.of(candidate))
+        kappa, rotated = diagonal(*self.of(candidate))
         if not kappa.max() > 0.0:
             return 0.0, 0.0
         tried = _AMPLITUDES / np.sqrt(kappa.max())
-        changes = _change(kappa, rotated, tried)
+        changes = change_of_evidence(kappa, rotated, tried)
         place = int(changes.argmax())
         return float(changes[place]), float(tried[place])
 
@@ -186,19 +193,6 @@ class _Information(Information):
         matrix, vector = self.of(candidate)
         covariance = np.linalg.inv(matrix + np.eye(len(vector)) / amplitude**2)
         return covariance @ vector, np.sqrt(np.diagonal(covariance))
-
-
-def _diagonal(matrix: Array, vector: Array) -> tuple[Array, Array]:
-    if len(vector) == 1:
-        return np.maximum(matrix[0], 0.0), vector
-    kappa, vectors = np.linalg.eigh(matrix)
-    return np.maximum(kappa, 0.0), vectors.T @ vector
-
-
-def _change(kappa: Array, rotated: Array, amplitudes: Array) -> Array:
-    square = amplitudes[:, None] ** 2
-    grown = 1.0 + square * kappa
-    return np.asarray(0.5 * (square * rotated**2 / grown - np.log(grown)).sum(-1))
 
 
 def drafted(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Draft, ...]:

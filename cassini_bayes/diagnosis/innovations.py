@@ -227,14 +227,10 @@ def _stacked(
     for of_rows, (common, of_event), factor, size, width in zip(
         targets, blocks, factors, sizes, widths, strict=True
     ):
-        inverse = np.linalg.inv(factor)
         stop = row + size
-        target[row:stop] = (of_rows @ inverse.T).reshape(-1)
-        white = np.einsum("ab,nbp->nap", inverse, common)
-        columns[row:stop, : white.shape[2]] = white.reshape(size, -1)
-        columns[row:stop, column : column + width] = np.einsum(
-            "ab,nbp->nap", inverse, of_event
-        ).reshape(size, -1)
+        target[row:stop] = (of_rows @ np.linalg.inv(factor).T).reshape(-1)
+        columns[row:stop, : common.shape[2]] = whitened(common, factor)
+        columns[row:stop, column : column + width] = whitened(of_event, factor)
         row, column = stop, column + width
     precision = np.concatenate([np.ones(shared), *event_precision])
     return Linear(target, columns, precision, tuple(size // 3 for size in sizes))

@@ -29,7 +29,12 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import Information, information
+from cassini_bayes.balance.linearised import (
+    Information,
+    change_of_evidence,
+    diagonal,
+    information,
+)
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
@@ -132,11 +137,8 @@ def _side_by_side(apart: Sequence[Array], common: Sequence[Array]) -> list[Array
 
 def _summed(told: Information, which: slice, bounds: tuple[float, float]) -> float:
     """Log of the mean over scales, log-uniform between bounds, of the change of the evidence."""
-    values, vectors = np.linalg.eigh(told.matrix[which, which])
-    kappa, rotated = np.maximum(values, 0.0), vectors.T @ told.vector[which]
-    square = np.geomspace(*bounds, NODES)[:, None] ** 2
-    grown = 1.0 + square * kappa
-    changes = 0.5 * (square * rotated**2 / grown - np.log(grown)).sum(axis=1)
+    own = diagonal(told.matrix[which, which], told.vector[which])
+    changes = change_of_evidence(*own, np.geomspace(*bounds, NODES))
     return float(logsumexp(changes) - np.log(NODES))
 
 
@@ -158,7 +160,7 @@ def with_thruster_forms(
 
 def with_forms(unknown: Weighed[H], beside: float, forms: Mapping[str, float]) -> Weighed[H]:
     """``unknown`` with further forms that change a score, log of evidence times prior, by some."""
-    alone = replace(unknown, summed=0.0, forms=())
+    alone = unknown.without_forms
     each = {TORQUE: alone.net_evidence, **{name: beside + nats for name, nats in forms.items()}}
     scores = np.array(list(each.values())) - np.log(len(each))
     total = float(logsumexp(scores))

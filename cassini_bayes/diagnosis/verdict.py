@@ -157,8 +157,7 @@ def with_second_cause(
     if not verdict.best.is_cause and pair.score < verdict.best.score:
         return verdict
     # what stood beside the first cause is named now
-    alone = [replace(w, summed=0.0, forms=()) if w.forms else w for w in verdict.weighed]
-    plain = ranked(alone)
+    plain = ranked([w.without_forms for w in verdict.weighed])
     verdict = replace(verdict, weighed=plain.weighed, log_probabilities=plain.log_probabilities)
     alike = [w for w in verdict.pairs if w is not best and is_indistinguishable(w, best)]
     return replace(verdict, pair=pair, equal_seconds=tuple(w.hypothesis.causes[-1] for w in alike))

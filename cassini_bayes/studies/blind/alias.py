@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.balance.linearised import fitted_away, information
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import extend
 from cassini_bayes.diagnosis.innovations import effect_momentum
@@ -49,14 +49,18 @@ class _Cause(NamedTuple):
 def nearest_cause(shown: View, plain: View) -> Alias:
     """The cause that explains most of what an effect does; ``none`` where there are no causes."""
     shift = shift_between(shown, plain)
-    own = np.asarray(fitted_away(shift.linear, shift.left))
-    whole = float(shift.left @ own) - shift.background
-    nearest = Alias("none", float(np.sqrt(max(whole, 0.0))))
-    for cause in _causes(shown):
-        columns = cause.columns[shift.places]
-        precision = np.eye(columns.shape[1])
-        precision += columns.T @ np.asarray(fitted_away(shift.linear, columns))
-        pull = columns.T @ own
+    whole = float(shift.left @ fitted_away(shift.linear, shift.left)) - shift.background
+    causes = list(_causes(shown))
+    nothing = np.zeros((len(shift.left), 0))
+    seen = [cause.columns[shift.places] for cause in causes]
+    every = np.concatenate([nothing, *seen], axis=1)
+    told = information(shift.linear, shift.left, every)
+    nearest, first = Alias("none", float(np.sqrt(max(whole, 0.0)))), 0
+    for cause in causes:
+        own = slice(first, first + cause.columns.shape[1])
+        first = own.stop
+        pull = told.vector[own]
+        precision = np.eye(len(pull)) + told.matrix[own, own]
         size = np.linalg.solve(precision, pull)
         if len(size) == 1:
             size = np.clip(size, cause.low, cause.high)
