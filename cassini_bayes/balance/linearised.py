@@ -58,6 +58,10 @@ class Linear:
         ends = 3 * np.cumsum([0, *self.rows])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
+    def about_prior_mean(self, z: Array) -> Array:
+        """The target (m,) had it been taken where the first unknowns z (d,), standard, are zero."""
+        return np.asarray(self.target + self.columns[:, : len(z)] @ z)
+
     def gram(self) -> Array:
         """XᵀX + P (p, p), summed over events on the columns that each of them has."""
         total = np.diag(self.precision)

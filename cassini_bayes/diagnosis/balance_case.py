@@ -46,7 +46,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     none_hypothesis,
     unknown_hypothesis,
 )
-from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.innovations import examined, innovations, left_by
 from cassini_bayes.diagnosis.modes import Mode, find_mode, highest_mode, mode_from
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
@@ -252,7 +252,7 @@ class BalanceCase(Case[Hypothesis]):
             base = with_whole_curvature(first.hypothesis, base)
         others = [e for e in events.catalogue.effects if e.name != effect.name]
         direct = [e for e in others if not e.needs_search]
-        remainder = innovations(first.hypothesis, base.point) if events.telemetry else None
+        remainder = left_by(first) if events.telemetry else None
         beginnings = Beginnings.of(full, base.point, remainder, direct, events)
         pairs = [compact(extend(full, [e])) for e in beginnings.likely()]
         to_find = []
@@ -338,10 +338,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def examined(self, weighed: Candidate) -> Candidate:
         """With what a cause leaves of telemetry."""
-        if not self.events.telemetry or weighed.remainder is not None or not weighed.is_cause:
-            return weighed
-        left = innovations(weighed.hypothesis, weighed.mode.point)
-        return replace(weighed, remainder=left)
+        return examined(weighed) if self.events.telemetry and weighed.is_cause else weighed
 
     def rmse(self, weighed: Candidate) -> float | None:
         """RMS innovation, N m s; None for totals alone."""

@@ -21,13 +21,12 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import Linear, information
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import effect_momentum, innovations
+from cassini_bayes.diagnosis.innovations import effect_momentum, examined, left_by
 from cassini_bayes.diagnosis.modes import LOG_2_PI
-from cassini_bayes.diagnosis.rows_and_turns import joined, placed
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode
 
 COARSE_STEP_S: Final = 3e-3
 """Steps below which band and columns agree: with 1 ms the truth of a flight is 13 nats below the
@@ -67,16 +66,8 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     """Log density (nats) that a cause gains over the baseline in the linear model at its mode."""
     hypothesis, point = cause.hypothesis, cause.mode.point
     d = none.dimension
-    left = cause.remainder or innovations(hypothesis, point)
-    linear, turned = joined(hypothesis, point, left.linear, left.rows)
-    nuisances = np.r_[0:d, len(point) : linear.columns.shape[1]]
-    without = Linear(
-        linear.target, linear.columns[:, nuisances], linear.precision[nuisances], linear.rows
-    )
-    target = linear.target + linear.columns[:, :d] @ point[:d]  # about the prior mean
-    added = effect_momentum(none, point[:d], [(hypothesis, point[None, d:])])
-    columns = placed(left.rows, turned, added)
-    told = information(without, target, columns, groups=[*range(len(left.rows))] * 2)
+    beside = BesideMode.of(hypothesis, point, left_by(cause), walked=d)
+    told = beside.information(effect_momentum(none, point[:d], [(hypothesis, point[None, d:])]))
     gained = told.vector[0] + 0.5 * told.matrix[0, 0]
     return float(gained - 0.5 * point[d:] @ point[d:])
 
@@ -101,6 +92,7 @@ def with_levels(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothes
             return result
         extra = len(point) - none.hypothesis.dimension
         by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
-        lacking = min(gain_by_levels(none.hypothesis, best) - by_bands, 0.0)
-        changed = replace(best, summed=best.summed + lacking)
+        looked_at = examined(best)
+        lacking = min(gain_by_levels(none.hypothesis, looked_at) - by_bands, 0.0)
+        changed = replace(looked_at, summed=best.summed + lacking)
         result = [changed if w is best else w for w in result]

@@ -37,7 +37,7 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
+from cassini_bayes.diagnosis.innovations import left_by, thrust_columns
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
@@ -201,8 +201,7 @@ def drafted(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Draft, ...]:
     Of what the baseline leaves at the mode of ``unknown``, or of what a cause leaves at its own.
     """
     if weighed.is_cause:
-        full, point = weighed.hypothesis, weighed.mode.point
-        left = weighed.remainder or innovations(full, point)
+        full, point, left = weighed.hypothesis, weighed.mode.point, left_by(weighed)
     else:
         full, point, left = baseline_at(events, weighed)
     thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
@@ -232,7 +231,7 @@ def drafts_of(
     """
     columns = _columns(rows, thrusts)
     white = columns.white()
-    target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
+    target = linear.about_prior_mean(point)
     pieces, what = _pieces(linear)
     whole = _information(linear, target, white, ())
     without = [_information(linear, target, white, (piece,)) for piece in pieces]

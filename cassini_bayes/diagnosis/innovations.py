@@ -21,6 +21,7 @@ from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryB
 from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.rows_and_turns import with_turns
 from cassini_bayes.diagnosis.unresolved import unresolved
@@ -276,3 +277,13 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
         {name: float(np.ravel(value)[0]) for name, value in parameters.items()},
         partial(with_turns, hypothesis, z, linear, rows),
     )
+
+
+def left_by(weighed: Weighed[Hypothesis]) -> Remainder:
+    """What a hypothesis leaves of telemetry, looked at before or now (:func:`innovations`)."""
+    return weighed.remainder or innovations(weighed.hypothesis, weighed.mode.point)
+
+
+def examined(weighed: Weighed[Hypothesis]) -> Weighed[Hypothesis]:
+    """A hypothesis on telemetry with what it leaves, so that nobody has to look twice."""
+    return replace(weighed, remainder=left_by(weighed))

@@ -10,13 +10,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.balance.bands import walk_scales
-from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, whitened, with_unknowns
+from cassini_bayes.balance.linearised import (
+    EventRows,
+    Information,
+    Linear,
+    fitted_away,
+    information,
+    whitened,
+    with_unknowns,
+)
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import Rows, walk_columns
 from cassini_bayes.balance.statistics.turns import (
@@ -29,12 +37,57 @@ from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import wheel_covariance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.effects.effect import Remainder
 
 HALF_PERIOD_S: Final = 60.0
 """Of the fastest cosine of torque noise: with 1e-4 N m s^½ what is faster moves a body of 8,000
 kg m² by less than 1e-5 rad, the noise of an attitude."""
 MOST_COSINES: Final = 64  # of an event: judgement, longer ones have slow lines of torque noise
 LEAST_ATTITUDE_RAD: Final = 1e-9  # noise that no star tracker goes below
+
+
+@dataclass(frozen=True)
+class BesideMode:
+    """All events' rows, then their turns, linear about a mode: what further columns tell beside it.
+
+    ``target`` (m,) is that of ``linear`` about the prior mean; ``rows`` and ``turned`` are the
+    events of both.
+    """
+
+    linear: Linear
+    target: Array
+    rows: tuple[EventRows, ...]
+    turned: tuple[EventRows, ...]
+
+    @classmethod
+    def of(
+        cls, hypothesis: Hypothesis, z: Array, left: Remainder, walked: int | None = None
+    ) -> BesideMode:
+        """About the mode z (d,) of a hypothesis that leaves ``left``.
+
+        Coordinates from ``walked`` on, of d, are held where they are; by default none.
+        """
+        kept = len(z) if walked is None else walked
+        linear, turned = joined(hypothesis, z, left.linear, left.rows)
+        target = linear.about_prior_mean(z[:kept])
+        if kept < len(z):
+            free = np.r_[0:kept, len(z) : linear.columns.shape[1]]
+            linear = replace(
+                linear, columns=linear.columns[:, free], precision=linear.precision[free]
+            )
+        return cls(linear, target, left.rows, turned)
+
+    def information(self, momentum: Sequence[Array]) -> Information:
+        """On further columns of momentum (n, 3, q), N m s, in the rows of every event."""
+        of_rows, of_turns = [], []
+        for event, turns, own in zip(self.rows, self.turned, momentum, strict=True):
+            of_rows.append(whitened(own, event.noise_factor))
+            assert turns.turns is not None
+            integrated = turns.turns.pieces.integrated(own.reshape(len(own), -1))
+            white = whitened(integrated.reshape(own.shape), turns.noise_factor).reshape(own.shape)
+            of_turns.append(turns.turns.whitened_axes(white).reshape(3 * len(own), -1))
+        columns = np.concatenate([*of_rows, *of_turns])
+        return information(self.linear, self.target, columns, groups=[*range(len(self.rows))] * 2)
 
 
 def with_turns(
@@ -92,23 +145,6 @@ def joined(
         np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
     )
     return both, tuple(turned)
-
-
-def placed(
-    rows: Sequence[EventRows], turned: Sequence[EventRows], momentum: Sequence[Array]
-) -> Array:
-    """Columns (n, 3, q), N m s, of every event's rows as whitened rows, then turns: (m, q).
-
-    ``rows`` and ``turned`` are those of :func:`joined`.
-    """
-    of_rows, of_turns = [], []
-    for event, turns, own in zip(rows, turned, momentum, strict=True):
-        of_rows.append(whitened(own, event.noise_factor))
-        assert turns.turns is not None
-        integrated = turns.turns.pieces.integrated(own.reshape(len(own), -1)).reshape(own.shape)
-        white = whitened(integrated, turns.noise_factor).reshape(own.shape)
-        of_turns.append(turns.turns.whitened_axes(white).reshape(3 * len(own), -1))
-    return np.concatenate([*of_rows, *of_turns])
 
 
 def _innovations(event: EventRows, white: Array) -> EventRows:

@@ -29,18 +29,13 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import (
-    Information,
-    change_of_evidence,
-    diagonal,
-    information,
-)
+from cassini_bayes.balance.linearised import Information, change_of_evidence, diagonal
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
-from cassini_bayes.diagnosis.rows_and_turns import joined, placed
+from cassini_bayes.diagnosis.innovations import examined, left_by, thrust_columns
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode
 from cassini_bayes.effects.registry import Unknown
 
 TORQUE: Final = "torque"
@@ -54,7 +49,7 @@ NODES: Final = 25  # of a scale between its bounds: a factor of 1.18 apart
 
 
 def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, float]:
-    """Change of a hypothesis's log evidence by every form, nats; none where nothing fires.
+    """Change of a hypothesis's log evidence by every form, nats, where something fires.
 
     Parameters
     ----------
@@ -65,10 +60,7 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
     """
     hypothesis, point = weighed.hypothesis, weighed.mode.point
     model = hypothesis.model
-    if not any(term.balance.fires for term in model.telemetry):
-        return {}
-    left = weighed.remainder or innovations(hypothesis, point)
-    linear, turned = joined(hypothesis, point, left.linear, left.rows)
+    left = left_by(weighed)
     located = model.points(point[None])
     expected = model.thrust_prior.common_mean_n
     names = tuple(dict.fromkeys(name for event in left.rows for name in event.thrusters))
@@ -87,9 +79,7 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         else:
             own = np.zeros((len(event.time_s), 3, 0))
         lever.append(_of_all(own, event.thrusters, names))
-    columns = placed(left.rows, turned, _side_by_side(drift, lever))
-    target = linear.target + linear.columns[:, : len(point)] @ point  # about the prior mean
-    told = information(linear, target, columns, groups=[*range(len(left.rows))] * 2)
+    told = BesideMode.of(hypothesis, point, left).information(_side_by_side(drift, lever))
     count = sum(own.shape[2] for own in drift)
     return {
         DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
@@ -152,10 +142,14 @@ def with_thruster_forms(
     """
     named = [w for w in weighed if w.name != UNKNOWN]
     best = max(named, key=lambda w: w.score)
-    forms = thruster_forms(best, unknown)
-    if not forms:
+    if not any(term.balance.fires for term in best.hypothesis.model.telemetry):
         return list(weighed)
-    return [with_forms(w, best.score, forms) if w.name == UNKNOWN else w for w in weighed]
+    looked_at = examined(best)
+    forms = thruster_forms(looked_at, unknown)
+    return [
+        with_forms(w, best.score, forms) if w.name == UNKNOWN else looked_at if w is best else w
+        for w in weighed
+    ]
 
 
 def with_forms(unknown: Weighed[H], beside: float, forms: Mapping[str, float]) -> Weighed[H]:
