@@ -28,6 +28,7 @@ from cassini_bayes.cli.options import (
     spread,
 )
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import DEFAULT_SEED
 
 if TYPE_CHECKING:
     from cassini_bayes.studies.study import Study
@@ -309,7 +310,7 @@ def calibrate_prediction_command(
 def calibrate_simulation_command(
     trials: Trials = None,
     quick: Quick = False,
-    seed: Seed = 1,
+    seed: Seed = DEFAULT_SEED,
     out: Out = OUT,
     quiet: Quiet = False,
 ) -> None:
@@ -354,7 +355,7 @@ def hybrid(run: Run, scenario: ScenarioFile = HYBRID_SCENARIO) -> None:
 def diagnose_published_command(
     totals: Totals = FLIGHT,
     priors: PriorsFile = TOTALS_PRIORS,
-    seed: Seed = 1,
+    seed: Seed = DEFAULT_SEED,
     out: Out = OUT,
     quiet: Quiet = False,
 ) -> None:

@@ -20,8 +20,7 @@ from cassini_bayes.cli.options import (
     command_line,
 )
 from cassini_bayes.errors import InputError
-
-DEFAULT_SEED = 1
+from cassini_bayes.files.checks import DEFAULT_SEED
 
 
 def diagnose_command(

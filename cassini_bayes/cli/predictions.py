@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cassini_bayes.cli.options import Accept, Effects, Output, Seed, warn
+from cassini_bayes.files.checks import DEFAULT_SEED
 
 if TYPE_CHECKING:
     from cassini_bayes.pipeline.predictions import PredictionResult
@@ -30,7 +31,7 @@ class Learning:
     ] = None
     effects: Effects = None
     accept: Accept = None
-    seed: Seed = 1
+    seed: Seed = DEFAULT_SEED
 
     @property
     def arguments(self) -> dict[str, Any]:

@@ -260,8 +260,9 @@ class BalanceCase(Case[Hypothesis]):
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]
         what = "searches for a second cause"
         settled_by, near = _side_by_side((), to_find, pairs, base, what, workers, SECOND_CAUSE_NATS)
-        # pairs have the first cause's likeliest beginning; others count for them as for it alone
-        least -= first.summed
+        # pairs have the first cause's likeliest beginning; others count for them as for it alone,
+        # and what coarse counters take off as well
+        least -= first.net_evidence - first.own_evidence
         weighed = weigh_extensions(pairs, near, base, silent, workers, least)
         for (e, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
@@ -272,8 +273,11 @@ class BalanceCase(Case[Hypothesis]):
         bar = max([least, *(e.net_evidence for e in weighed)])
         which = [i for i, e in enumerate(reach) if e > bar]
         drawn = with_draws(weighed, which, FEW_DRAWS, rng, workers)
-        drawn = beginnings.summed(drawn, first.net_evidence - first.summed)
-        return [replace(pair, summed=pair.summed + first.summed) for pair in drawn]
+        drawn = beginnings.summed(drawn, first.own_evidence)
+        return [
+            replace(pair, summed=pair.summed + first.summed, withheld=first.withheld)
+            for pair in drawn
+        ]
 
     def confirmed(self, pair: Candidate, rng: np.random.Generator) -> Candidate:
         """With as many draws as the best causes have."""

@@ -83,7 +83,7 @@ class Weighed(Generic[H]):
     ``beginnings``: it stands here as it begins most likely, and the sum over all of them, with
     their prior probabilities, adds ``summed`` (nats) to its log evidence. So do further forms of
     ``unknown``: ``forms`` are their names with their shares of its evidence, the first the one that
-    stands here.
+    stands here. ``withheld`` (nats) is what coarse counters take off (:mod:`.coarse_counters`).
     """
 
     hypothesis: H
@@ -98,6 +98,7 @@ class Weighed(Generic[H]):
     remainder: Remainder | None = None
     beginnings: tuple[Beginning[H], ...] = ()
     summed: float = 0.0
+    withheld: float = 0.0
     forms: tuple[tuple[str, float], ...] = ()
 
     @property
@@ -134,9 +135,14 @@ class Weighed(Generic[H]):
         return replace(self, summed=0.0, forms=()) if self.forms else self
 
     @property
+    def own_evidence(self) -> float:
+        """Log evidence of what stands here alone, less what a search before the fit cost."""
+        return self.log_evidence - self.hypothesis.log_penalty
+
+    @property
     def net_evidence(self) -> float:
-        """Log evidence, over all beginnings and forms, less what a search before the fit cost."""
-        return self.log_evidence + self.summed - self.hypothesis.log_penalty
+        """That over all beginnings and forms, less what coarse counters take off."""
+        return self.own_evidence + self.summed - self.withheld
 
     @property
     def score(self) -> float:

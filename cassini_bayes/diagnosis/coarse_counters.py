@@ -93,6 +93,6 @@ def with_levels(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothes
         extra = len(point) - none.hypothesis.dimension
         by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
         looked_at = examined(best)
-        lacking = min(gain_by_levels(none.hypothesis, looked_at) - by_bands, 0.0)
-        changed = replace(looked_at, summed=best.summed + lacking)
+        withheld = max(by_bands - gain_by_levels(none.hypothesis, looked_at), 0.0)
+        changed = replace(looked_at, withheld=withheld)
         result = [changed if w is best else w for w in result]

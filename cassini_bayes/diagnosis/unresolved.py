@@ -20,7 +20,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.effects.effect import FittedRows
-from cassini_bayes.effects.firings import firings
+from cassini_bayes.effects.firings import fired_intervals
 
 Unknowns = tuple[Array, Array]
 """Columns (n, 3, s) and variances (s,) of their unknowns, together N m s, whose means are 0."""
@@ -75,7 +75,9 @@ def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
     rows = FittedRows(time_s, term.event.samples, physics)
     for members in layout.couples if effects and layout.thrusters else ():
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-        fired = firings(term.event.samples, members, model.thrust_prior.common_mean_n * arms)
+        fired = fired_intervals(
+            term.event.samples, members, model.thrust_prior.common_mean_n * arms
+        )
         for effect in effects:
             setting = effect.setting(model.spacecraft, model.branch)
             values = effect.values(points.parameters)

@@ -19,7 +19,7 @@ from cassini_bayes.balance.physics import Modifier, Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, Samples
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Controller, Fired
-from cassini_bayes.effects.firings import Firings
+from cassini_bayes.effects.firings import FiredIntervals
 from cassini_bayes.effects.printed import Printed
 from cassini_bayes.effects.wording import Sizes
 from cassini_bayes.errors import InputError
@@ -151,7 +151,9 @@ class Kind:
     report: Callable[[Values, Setting], Values] | None = None
     drawn: Callable[[Setting, np.random.Generator, int], Values] | None = None
     known_to: Mapping[str, float | None] = field(default_factory=dict)
-    left_open: Callable[[Firings, FittedRows, Values, Setting], tuple[Array, Array]] | None = None
+    left_open: (
+        Callable[[FiredIntervals, FittedRows, Values, Setting], tuple[Array, Array]] | None
+    ) = None
     fire: Callable[[Controller, Values], Fired] | None = None
     doubt: Callable[[Printed, float], Mapping[str, Printed]] | None = None
     says: Callable[[Sizes, str], str] | None = None

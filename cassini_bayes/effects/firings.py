@@ -18,7 +18,7 @@ LEAST_IDLE: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Firings:
+class FiredIntervals:
     """Counter intervals (m,) in which thrusters that only fire together did, not without pause.
 
     ``momentum_n_m_s`` (m, 3) is what they gave, ``scatter`` (m,) the variance that single moments
@@ -31,8 +31,8 @@ class Firings:
     scatter: Array
 
 
-def firings(samples: Samples, members: tuple[int, ...], force: Array) -> Firings:
-    """Firings of a couple of thrusters (places ``members``); ``force`` (3, K): torque in N m."""
+def fired_intervals(samples: Samples, members: tuple[int, ...], force: Array) -> FiredIntervals:
+    """When a couple fired, of thrusters at places ``members``; ``force`` (3, K): torque in N m."""
     counted = samples.has_counters
     time = samples.time_s[counted]
     places = list(members)
@@ -45,4 +45,4 @@ def firings(samples: Samples, members: tuple[int, ...], force: Array) -> Firings
     idle = 1.0 - on_time.max(1, initial=0.0) / (end - start)
     scatter = idle / np.maximum(pulses.max(1, initial=0.0), 1.0)
     kept = idle > LEAST_IDLE
-    return Firings(start[kept], end[kept], given[kept], scatter[kept])
+    return FiredIntervals(start[kept], end[kept], given[kept], scatter[kept])

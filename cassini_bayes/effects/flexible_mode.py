@@ -38,7 +38,7 @@ from cassini_bayes.effects.appendage import (
 )
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
-from cassini_bayes.effects.firings import Firings
+from cassini_bayes.effects.firings import FiredIntervals
 from cassini_bayes.effects.line_shapes import (
     DAMPED,
     NONE,
@@ -219,7 +219,7 @@ def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: 
 
 
 def driven_answers(
-    fired: Firings,
+    fired: FiredIntervals,
     time_s: Array,
     change_rad_s: Array,
     line: tuple[float, float],
@@ -243,7 +243,7 @@ def driven_answers(
 
 
 def left_open(
-    fired: Firings, rows: FittedRows, values: Values, setting: Setting
+    fired: FiredIntervals, rows: FittedRows, values: Values, setting: Setting
 ) -> tuple[Array, Array]:
     """What an appendage with a share of the inertia answers, out of phase."""
     line = _line(setting)

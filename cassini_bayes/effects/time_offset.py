@@ -19,7 +19,7 @@ from cassini_bayes.balance.statistics import ExtraColumn, RowContext
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.changes import with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Setting, Values
-from cassini_bayes.effects.firings import TAIL_S, Firings
+from cassini_bayes.effects.firings import TAIL_S, FiredIntervals
 from cassini_bayes.effects.wording import Clause
 
 OFFSETS_S: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)
@@ -114,7 +114,7 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
     return with_columns(physics, weights)
 
 
-def late_firings(firings: Firings, time_s: Array, offset_s: float) -> tuple[Array, Array]:
+def late_firings(firings: FiredIntervals, time_s: Array, offset_s: float) -> tuple[Array, Array]:
     """Columns (n, 3, s), N m s, and variances (s,) of firings of which a late record shows a part.
 
     A row at t shows what had been delivered by t + offset, which lies within a counter interval:
@@ -130,7 +130,7 @@ def late_firings(firings: Firings, time_s: Array, offset_s: float) -> tuple[Arra
 
 
 def left_open(
-    firings: Firings, rows: FittedRows, values: Values, _: Setting
+    firings: FiredIntervals, rows: FittedRows, values: Values, _: Setting
 ) -> tuple[Array, Array]:
     """Firings that late records show in part."""
     return late_firings(firings, rows.time_s, float(values["time_offset_s"][0]))

@@ -13,6 +13,7 @@ from cassini_bayes.errors import InputError
 
 LONGEST_NUMBER: Final = 400  # characters
 LARGEST_SEED: Final = 2**63 - 1  # what TOML and NetCDF can hold
+DEFAULT_SEED: Final = 1  # of commands that draw, where nobody chose another
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 

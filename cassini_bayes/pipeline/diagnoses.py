@@ -27,6 +27,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.checkpoint import CheckpointStore
+from cassini_bayes.files.checks import DEFAULT_SEED
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import is_event_folder
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "shortest 90 %"
-DEFAULT_SEED: Final = 1
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,

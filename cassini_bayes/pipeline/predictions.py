@@ -15,6 +15,7 @@ import pandas as pd
 import xarray as xr
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import DEFAULT_SEED
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
@@ -255,7 +256,7 @@ def predict(
     priors: PathLike | None = None,
     effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
-    seed: int = 1,
+    seed: int = DEFAULT_SEED,
 ) -> PredictionResult:
     """Predict planned wheel biases: on-times, pulses, ΔV, hydrazine, duration.
 
@@ -313,7 +314,7 @@ def plan(
     priors: PathLike | None = None,
     effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
-    seed: int = 1,
+    seed: int = DEFAULT_SEED,
 ) -> PlanResult | CheapestResult:
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.effects.firings import TAIL_S, firings
+from cassini_bayes.effects.firings import TAIL_S, fired_intervals
 from cassini_bayes.effects.flexible_mode import driven_answers
 from cassini_bayes.effects.time_offset import LAG_S, PULSE_S, late_firings
 
@@ -27,7 +27,7 @@ def samples(*first_s: float, count: int = 1) -> Samples:
 
 def test_firings_of_a_couple_are_its_members_together() -> None:
     """Two intervals of one pulse each: bounds, momentum of both thrusters, what is left open."""
-    found = firings(samples(7.0, 20.0), (0, 1), FORCE)
+    found = fired_intervals(samples(7.0, 20.0), (0, 1), FORCE)
     assert found.start_s == pytest.approx([7.0, 20.0])
     assert found.end_s == pytest.approx([8.0, 21.0])
     given = (WIDTH_S + TAIL_S) * FORCE.sum(1)
@@ -41,7 +41,7 @@ def test_firing_without_pause_leaves_nothing_open() -> None:
     full = Samples(
         own.time_s, own.attitude, own.rate_rad_s, own.wheel_rad_s, own.pulses * 1.0, own.pulses
     )
-    found = firings(full, (0, 1), FORCE)
+    found = fired_intervals(full, (0, 1), FORCE)
     assert len(found.scatter) == 0
     columns, variance = late_firings(found, TIME, 0.4)
     assert columns.shape == (len(TIME), 3, 0)
@@ -53,7 +53,7 @@ def test_firing_without_pause_leaves_nothing_open() -> None:
 def test_a_late_record_leaves_open_what_random_moments_scatter(offset_s: float, count: int) -> None:
     """Variance of what had been delivered, against 40,000 trains of pulses at random moments."""
     rng = np.random.default_rng(1)
-    found = firings(samples(7.0, count=count), (0, 1), FORCE)
+    found = fired_intervals(samples(7.0, count=count), (0, 1), FORCE)
     columns, variance = late_firings(found, TIME, offset_s)
     moments = 7.0 + rng.uniform(0.0, 1.0, (count, DRAWS))
     given = moments + LAG_S + 0.5 * PULSE_S
@@ -69,7 +69,7 @@ def test_a_late_record_leaves_open_what_random_moments_scatter(offset_s: float, 
 def test_records_in_time_leave_nothing_open() -> None:
     """No offset, no columns: rows a reading after a pulse know what was fired."""
     quiet = TIME[~np.isin(TIME, [8.0, 10.0])]
-    columns, variance = late_firings(firings(samples(7.0, 9.0), (0,), FORCE), quiet, 0.0)
+    columns, variance = late_firings(fired_intervals(samples(7.0, 9.0), (0,), FORCE), quiet, 0.0)
     assert columns.shape == (len(quiet), 3, 0)
     assert len(variance) == 0
 
@@ -78,7 +78,7 @@ def test_an_appendage_answers_out_of_phase_by_as_much_as_random_moments_scatter(
     """Regressed on cosine and sine about the middle: the sine's variance; nothing before it."""
     rng = np.random.default_rng(2)
     frequency, kick = 0.21, 3e-5
-    found = firings(samples(7.0), (0, 1), FORCE)
+    found = fired_intervals(samples(7.0), (0, 1), FORCE)
     answers, variance = driven_answers(found, TIME, np.array([kick]), (frequency, 0.0), 1.0)
     omega, after = 2.0 * np.pi * frequency, TIME > 7.5
     delay = rng.uniform(-0.5, 0.5, DRAWS)
@@ -95,7 +95,7 @@ def test_an_appendage_answers_out_of_phase_by_as_much_as_random_moments_scatter(
 
 def test_a_damped_answer_dies() -> None:
     """After t its envelope is exp(−ζΩ t)."""
-    found = firings(samples(7.0), (0,), FORCE)
+    found = fired_intervals(samples(7.0), (0,), FORCE)
     free, _ = driven_answers(found, TIME, np.array([1.0]), (0.2, 0.0), 1.0)
     damped, _ = driven_answers(found, TIME, np.array([1.0]), (0.2, 0.05), 1.0)
     rate = 0.05 * 2.0 * np.pi * 0.2
