@@ -29,7 +29,8 @@ def size_draws(
     """Draws (n,) of every size of a cause by key, and their weights (n,).
 
     What counters leave open is in them (:func:`with_unresolved`), how finely the data tell a size
-    (``known_to`` of its kind), and what a term's form leaves out (``form_error`` of its table).
+    (``known_to`` of its kind), and what a term's form leaves out (``form_error`` of its table, and
+    ``late_form_error`` where rows have late pulses).
     """
     hypothesis = weighed.hypothesis
     z, weights = effect_draws(weighed, rng)
@@ -43,8 +44,9 @@ def size_draws(
         for key, step in effect.kind.known_to.items():
             known_to = 2.0 * model.spacecraft.control_cycle_s if step is None else step
             values[key] = values[key] + known_to * rng.uniform(-0.5, 0.5, len(z))
+    has_late_rows = any(term.balance.late is not None for term in model.telemetry)
     for effect in hypothesis.effects:
-        for key, share in effect.form_error:
+        for key, share in effect.form_error + (effect.late_form_error if has_late_rows else ()):
             values[key] = values[key] * (1.0 + share * rng.standard_normal(len(z)))
     return values, weights
 

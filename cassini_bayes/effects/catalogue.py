@@ -9,7 +9,7 @@ from typing import Final
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, onsets
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
-from cassini_bayes.effects.tables import ParameterTable, Table
+from cassini_bayes.effects.tables import FORM_ERRORS, ParameterTable, Place, Table
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
@@ -218,14 +218,26 @@ def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | N
     sizes = kind.reported or keys
     for key in kind.known_to:
         _size(f"{table.where / 'parameters'} (known_to of {kind.name})", key, sizes)
-    form_error = tuple(
-        (
-            _size(str(table.where / "form_error" / key), key.replace("{target}", target), sizes),
-            _share(table, key, share),
-        )
-        for key, share in table.form_error.items()
+    form_error, late_form_error = (
+        _form_errors(table.where / name, shares, target, sizes)
+        for name, shares in zip(FORM_ERRORS, (table.form_error, table.late_form_error), strict=True)
     )
-    return Effect(kind, target, tuple(parameters), 0.0, form_error, source=table.source)
+    return Effect(
+        kind, target, tuple(parameters), 0.0, form_error, late_form_error, source=table.source
+    )
+
+
+def _form_errors(
+    where: Place, shares: Mapping[str, float], target: str, sizes: Sequence[str]
+) -> tuple[tuple[str, float], ...]:
+    """Sizes with the share of each that a form leaves out, as the table at ``where`` has them."""
+    return tuple(
+        (
+            _size(str(where / key), key.replace("{target}", target), sizes),
+            _share(where / key, share),
+        )
+        for key, share in shares.items()
+    )
 
 
 def _parameter(
@@ -263,10 +275,10 @@ def _size(where: str, key: str, sizes: Sequence[str]) -> str:
     return key
 
 
-def _share(table: Table, key: str, share: object) -> float:
+def _share(where: Place, share: object) -> float:
     if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share < 1:
         raise InputError(
-            str(table.where / "form_error" / key),
+            str(where),
             "a share of the size, 0 to 1",
             repr(share),
             "give the standard deviation of what the form leaves out, over the size",

@@ -195,9 +195,10 @@ class Effect:
     """A cause: a kind of effect on one target, with the priors of its size.
 
     ``form_error`` is the standard deviation, by the name of a size and as a share of it, of what
-    the term's form leaves out, ``source`` where its priors come from. ``search_result`` is what a
-    search before the fit settled, where the kind has one and it was made. With an ``onset`` it acts
-    from one event on, without throughout.
+    the term's form leaves out, ``late_form_error`` of what it leaves out more where rows have late
+    pulses; ``source`` is where its priors come from. ``search_result`` is what a search before the
+    fit settled, where the kind has one and it was made. With an ``onset`` it acts from one event
+    on, without throughout.
     """
 
     kind: Kind
@@ -205,6 +206,7 @@ class Effect:
     parameters: tuple[EffectParameter, ...]
     prior_probability: float
     form_error: tuple[tuple[str, float], ...] = ()
+    late_form_error: tuple[tuple[str, float], ...] = ()
     search_result: SearchResult | None = None
     source: str = ""
     onset: Onset | None = None

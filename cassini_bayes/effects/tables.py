@@ -23,7 +23,8 @@ SYMBOLS: Final = (
     "J", "A", "V", "Hz", "rpm",
 )  # fmt: skip
 """Of units, each of which may have a power behind it."""
-KEYS: Final = ("targets", "inputs", "source", "parameters", "form_error")
+FORM_ERRORS: Final = ("form_error", "late_form_error")
+KEYS: Final = ("targets", "inputs", "source", "parameters", *FORM_ERRORS)
 CHANGEABLE: Final = KEYS[1:]
 """By another table: targets are what the code of a kind is written for."""
 _NAME: Final = re.compile(r"[A-Za-z](?:\w|\{target\})*", re.ASCII)
@@ -98,7 +99,7 @@ class Table:
     """The table of a kind: ``where`` it was read, and its content.
 
     ``form_error`` is the standard deviation, by size and as a share of it, of what the form of the
-    effect leaves out.
+    effect leaves out, ``late_form_error`` of what it leaves out more where rows have late pulses.
     """
 
     where: Place
@@ -107,6 +108,7 @@ class Table:
     source: str
     parameters: tuple[ParameterTable, ...]
     form_error: Mapping[str, float]
+    late_form_error: Mapping[str, float]
 
 
 def read_table(document: Mapping[str, Any], where: Place) -> Table:
@@ -141,7 +143,7 @@ def read_table(document: Mapping[str, Any], where: Place) -> Table:
         tuple(inputs),
         document["source"],
         tuple(_parameter(row, key, place / key) for key, row in parameters.items()),
-        _table(document.get("form_error", {}), where / "form_error"),
+        *(_table(document.get(key, {}), where / key) for key in FORM_ERRORS),
     )
 
 

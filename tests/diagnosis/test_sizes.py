@@ -28,6 +28,7 @@ from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 from cassini_bayes.studies.blind.flights import reduced
+from cassini_bayes.studies.conditions import CONTROLLERS
 from cassini_bayes.studies.scenario import simulate_file
 
 ROOT = Path(__file__).parents[2]
@@ -35,23 +36,31 @@ SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 LATE_S = 0.19  # within its control cycle: 0.125 s shows the same records
 SEED = 7
 LATE = "time_offset_s"
+TAIL, TAIL_S = "tau_fall_s", 0.2
+Weighing = tuple[Events, Candidate]
 
 
 @cache
-def late_records() -> tuple[Events, Candidate]:
-    """A bias whose counters are late, and the cause that says so, weighed."""
+def flown(name: str, key: str, value: float, controller: str = "hysteresis") -> Weighing:
+    """A bias in which a cause acts, and that cause weighed."""
     priors = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     document["event"] = [e for e in document["event"] if e["id"] == "bias-1"]
-    document["effect"] = [{"name": "time_offset", "parameters": {LATE: LATE_S}}]
+    document["rcs"] |= CONTROLLERS[controller]
+    document["effect"] = [{"name": name, "parameters": {key: value}}]
     simulation = simulate_file(scenario_of(document, SCENARIO.parent), SEED, priors=priors)
     events = reduced(simulation, priors)
     full = none_hypothesis(events)
     none = compact(full)
     base = find_mode(none.log_density, none.dimension)
-    cause = compact(extend(full, [events.catalogue.effect("time_offset")]))
+    cause = compact(extend(full, [events.catalogue.effect(name)]))
     (weighed,) = weigh_extensions([cause], [newton_search(cause, base)], base, lambda _: None)
     return events, weighed
+
+
+def late_records() -> Weighing:
+    """A bias whose counters are late, and the cause that says so, weighed."""
+    return flown("time_offset", LATE, LATE_S)
 
 
 def test_late_records_are_late_by_what_was_hidden() -> None:
@@ -149,6 +158,33 @@ def test_what_a_form_leaves_out_widens_its_sizes_alone() -> None:
     n = len(ratio)
     assert ratio.std() == pytest.approx(0.3, abs=4.0 * 0.3 / np.sqrt(2.0 * n))
     assert abs(ratio.mean()) < 4.0 * 0.3 / np.sqrt(n)
+
+
+def with_late_form_error(weighed: Candidate, *shares: tuple[str, float]) -> Candidate:
+    """The same cause, whose table says this of rows with late pulses."""
+    (effect,) = weighed.hypothesis.effects
+    model = weighed.hypothesis.model
+    model = replace(model, effects=(replace(effect, late_form_error=shares),))
+    return replace(weighed, hypothesis=replace(weighed.hypothesis, model=model))
+
+
+def test_a_long_tail_under_a_high_gain_is_known_less_well_than_its_density_says() -> None:
+    """Of 0.2 s: the interval holds it as its table is, and misses it without that share."""
+    _, weighed = flown("tail_off", TAIL, TAIL_S, "high gain, union")
+    holds = []
+    for own in (weighed, with_late_form_error(weighed)):
+        values, weights = size_draws(own, np.random.default_rng(5))
+        low, high = weighted_interval(values[TAIL], weights)
+        holds.append(low <= TAIL_S <= high)
+    assert holds == [True, False]
+
+
+def test_rows_between_firings_have_no_share_of_late_pulses() -> None:
+    """Where rows are left between firings sizes are as they are without it."""
+    _, weighed = late_records()
+    more = with_late_form_error(weighed, (LATE, 0.5))
+    values, other = (size_draws(w, np.random.default_rng(6))[0][LATE] for w in (weighed, more))
+    assert (values == other).all()
 
 
 def test_shortest_interval_of_a_weighted_sample() -> None:

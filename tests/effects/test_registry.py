@@ -88,6 +88,7 @@ unit = "m"
         ("[effects.thrust_warmup.form_error]\nwarmup_time_s = 7\n", "a share of the size"),
         ("[effects.thrust_warmup.form_error]\nwarmup_time_s = true\n", "a share of the size"),
         ("[effects.thrust_warmup.form_error]\ndamping = 0.1\n", "a size of the effect"),
+        ("[effects.tail_off.late_form_error]\ntau_fall_s = 7\n", "late_form_error.*a share"),
         ("[cause]\nnone = 1\n", "changes.toml, line 1: cause: .*'causes'"),
         ("none = [", "valid TOML"),
         ("[effects]\nthruster_leak = 5\n", "line 2: effects.thruster_leak: .*a table"),
