@@ -221,8 +221,16 @@ class _Run:
         self._vehicle.set_external(self._leak[0], self._leak[1] + self._steady + drift)
 
     def command(self, firings: Sequence[Firing]) -> None:
-        """Take the commands of a cycle."""
+        """Take the commands of a cycle.
+
+        Raises
+        ------
+        ValueError
+            A command that begins in the past, whose valve would never be seen to open.
+        """
         for firing in firings:
+            if firing.start_ms * NS_PER_MS < self._vehicle.now_ns:
+                raise ValueError(f"a command at {firing.start_ms} ms, in the past: {firing}")
             self.firings.append(firing)
             self._valves.add(firing)
 

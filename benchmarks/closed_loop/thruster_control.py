@@ -165,6 +165,8 @@ class PulseFrequency:
     def _pulses(self, axis: int, u: float, now_ms: int) -> Iterable[tuple[int, int, int]]:
         """Start, width and sense of this axis's pulses that start before the next cycle."""
         law, end, constant = self.law, now_ms + CYCLE_MS, self.law.time_constant_s[axis]
+        # the first cycle is where this controller is switched on: nothing can begin before it
+        self._known_ms[axis] = max(self._known_ms[axis], now_ms)
         while self._known_ms[axis] < end:
             at, v = self._known_ms[axis], self._filter[axis]
             aim = law.gain * u
