@@ -287,6 +287,28 @@ def test_the_generator_reads_the_priors_as_they_are(
     assert all(("fixed" in table) != ("dist" in table) for table in stated.values())
 
 
+@pytest.mark.parametrize("law", ["phase_plane", "pulse_frequency", "pulse_width"])
+def test_controllers_command_nothing_in_the_past(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Far outside its dead-band and first called in a later cycle, each fires from then on.
+
+    The filters of one had run from time zero, so that its first pulses were counted and never
+    flown: their valves would have had to open before anybody asked.
+    """
+    if not (ROOT / "benchmarks").is_dir():
+        pytest.skip("benchmarks are no part of a source distribution")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    control = importlib.import_module("closed_loop.thruster_control")
+    rng = np.random.default_rng(2)
+    pilot = control.draw_law(law, (7e3, 6e3, 4e3), 1e-3, rng).start()
+    fired = []
+    for cycle in range(1, 17):
+        now_ms = cycle * control.CYCLE_MS
+        firings = pilot.fire([0.02, -0.02, 0.02], [1e-3, -1e-3, 1e-3], now_ms)
+        fired += firings
+        assert all(f.start_ms >= now_ms for f in firings)
+    assert len(fired) > 3
+
+
 def test_the_generator_does_not_know_the_package() -> None:
     """No file that makes the recordings so much as names the package's modules."""
     if not (ROOT / "benchmarks").is_dir():
