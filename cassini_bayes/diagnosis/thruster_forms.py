@@ -49,7 +49,7 @@ NODES: Final = 25  # of a scale between its bounds: a factor of 1.18 apart
 
 
 def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, float]:
-    """Change of a hypothesis's log evidence by every form, nats, where something fires.
+    """Change of a hypothesis's log evidence by every form, nats; none where nothing fires.
 
     Parameters
     ----------
@@ -59,6 +59,8 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         Bounds of the scales.
     """
     hypothesis, point = weighed.hypothesis, weighed.mode.point
+    if not _fires(hypothesis):
+        return {}
     model = hypothesis.model
     left = left_by(weighed)
     located = model.points(point[None])
@@ -85,6 +87,10 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
         LEVER: _summed(told, slice(count, None), unknown.lever_m),
     }
+
+
+def _fires(hypothesis: Hypothesis) -> bool:
+    return any(term.balance.fires for term in hypothesis.model.telemetry)
 
 
 def _drift(time_s: Array, turn: Array, fired: Array) -> Array:
@@ -142,7 +148,7 @@ def with_thruster_forms(
     """
     named = [w for w in weighed if w.name != UNKNOWN]
     best = max(named, key=lambda w: w.score)
-    if not any(term.balance.fires for term in best.hypothesis.model.telemetry):
+    if not _fires(best.hypothesis):
         return list(weighed)
     looked_at = examined(best)
     forms = thruster_forms(looked_at, unknown)

@@ -9,7 +9,7 @@ from typing import Final
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, onsets
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
-from cassini_bayes.effects.tables import FORM_ERRORS, ParameterTable, Place, Table
+from cassini_bayes.effects.tables import ParameterTable, Place, Table
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
@@ -218,12 +218,15 @@ def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | N
     sizes = kind.reported or keys
     for key in kind.known_to:
         _size(f"{table.where / 'parameters'} (known_to of {kind.name})", key, sizes)
-    form_error, late_form_error = (
-        _form_errors(table.where / name, shares, target, sizes)
-        for name, shares in zip(FORM_ERRORS, (table.form_error, table.late_form_error), strict=True)
-    )
+    late = table.where / "late_form_error"
     return Effect(
-        kind, target, tuple(parameters), 0.0, form_error, late_form_error, source=table.source
+        kind,
+        target,
+        tuple(parameters),
+        0.0,
+        _form_errors(table.where / "form_error", table.form_error, target, sizes),
+        _form_errors(late, table.late_form_error, target, sizes),
+        source=table.source,
     )
 
 

@@ -23,8 +23,7 @@ SYMBOLS: Final = (
     "J", "A", "V", "Hz", "rpm",
 )  # fmt: skip
 """Of units, each of which may have a power behind it."""
-FORM_ERRORS: Final = ("form_error", "late_form_error")
-KEYS: Final = ("targets", "inputs", "source", "parameters", *FORM_ERRORS)
+KEYS: Final = ("targets", "inputs", "source", "parameters", "form_error", "late_form_error")
 CHANGEABLE: Final = KEYS[1:]
 """By another table: targets are what the code of a kind is written for."""
 _NAME: Final = re.compile(r"[A-Za-z](?:\w|\{target\})*", re.ASCII)
@@ -143,7 +142,8 @@ def read_table(document: Mapping[str, Any], where: Place) -> Table:
         tuple(inputs),
         document["source"],
         tuple(_parameter(row, key, place / key) for key, row in parameters.items()),
-        *(_table(document.get(key, {}), where / key) for key in FORM_ERRORS),
+        _table(document.get("form_error", {}), where / "form_error"),
+        _table(document.get("late_form_error", {}), where / "late_form_error"),
     )
 
 

@@ -93,6 +93,7 @@ def test_beside_the_right_cause_there_is_no_form() -> None:
 def test_events_without_thrusters_have_no_forms() -> None:
     """Slews on wheels: torque alone, and everything weighed stays as it is."""
     events, none = flown("none", "slews")
+    assert thruster_forms(none, events.catalogue.unknown) == {}
     assert with_thruster_forms([none], events.catalogue.unknown) == [none]
 
 
