@@ -102,26 +102,31 @@ class Evidence:
     @cached_property
     def turning(self) -> Turning | None:
         """Turns against rates."""
-        return None if self.motion is None else turning_of(self.motion, self._drive_rad_s)
+        if self.motion is None:
+            return None
+        return turning_of(self.motion, *self._given_rad_s)
 
     @property
-    def _drive_rad_s(self) -> Array | None:
-        """Rates (n, 3) of the body by the wheels' momentum alone, where thrusters take it."""
-        rows, motion = self.rows, self.motion
+    def _given_rad_s(self) -> tuple[Array, Array] | tuple[()]:
+        """Rates (n, 3) of the body by the wheels alone and by thrusters alone, where these fire."""
+        rows, motion, nominal = self.rows, self.motion, self.nominal
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
-            return None
-        momentum = self.nominal.of_wheels(rows.wheel_rpm)
-        given = np.linalg.solve(self.nominal.inertia, momentum.T).T
-        return -_between(motion.time_s, rows.time_s, np.asarray(given, dtype=np.float64))
+            return ()
+        thrust_s = nominal.thrust_s(rows)
+        momenta = -nominal.of_wheels(rows.wheel_rpm), thrust_s @ nominal.torques.T
+        rates = (np.linalg.solve(nominal.inertia, each.T).T for each in momenta)
+        wheels, fired = (
+            _between(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
+            for each in rates
+        )
+        return wheels, fired
 
     @cached_property
     def momentum(self) -> Momentum | None:
         """Columns of the balance."""
         if self.rows is None:
             return None
-        found = momentum_of(
-            self.rows, self.nominal.torques, self.along, self.swing_hz, self._bias_rad_s
-        )
+        found = momentum_of(self.rows, self.nominal, self.along, self.swing_hz, self._bias_rad_s)
         return replace(found, most_noise=self.most_noise)
 
     @property
@@ -187,7 +192,7 @@ def with_noise_of_lags(evidence: Evidence) -> Evidence:
     for late_s in shift.lags_s():
         moved = shift.moved(shift.rows, late_s)[1]
         if abs(late_s) > PHYSICAL_LAG_S and len(moved.time_s) >= enough:
-            momentum = momentum_of(moved, evidence.nominal.torques)
+            momentum = momentum_of(moved, evidence.nominal)
             noises.append(momentum.noise(evidence.nominal, evidence.as_recorded))
     return replace(evidence, most_noise=SAME_NOISE * min(noises))
 

@@ -123,6 +123,10 @@ class Nominal:
         """Momentum (n, 3), N m s, of wheels at rates (n, W) in rev/min."""
         return np.asarray(RAD_S_PER_RPM * wheel_rpm @ self.spins.T)
 
+    def thrust_s(self, rows: Rows) -> Array:
+        """Seconds (n, K) of steady thrust that counters show: on-times and tails."""
+        return np.asarray(rows.on_time_s + self.tail_s * rows.pulses)
+
     @cached_property
     def columns(self) -> Columns:
         """Places of the channels' columns."""
@@ -193,6 +197,7 @@ class Columns:
             "wheel": wheels,
             "rate around": 3,
             "wheel around": wheels,
+            "fire beside": thrusters,
             "fire": thrusters,
             "pulse": thrusters,
             "warm up": thrusters,
@@ -445,6 +450,7 @@ def corrected(columns: Columns, weights: Array, correction: Correction) -> Array
         ("rate around", correction.rate),
         ("wheel", correction.wheel),
         ("wheel around", correction.wheel),
+        ("fire beside", correction.on_time * correction.thruster),
         ("fire", correction.on_time * correction.thruster),
         ("pulse", correction.thruster),
         ("warm up", correction.on_time * correction.thruster),
@@ -520,7 +526,8 @@ def nominal_departures(nominal: Nominal) -> tuple[tuple[str, ...], Array]:
     for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         unit = np.zeros((3, 3))
         unit[a, b] = unit[b, a] = WIDTHS["inertia"] * size
-        each.append(("inertia", columns.weights(rate_around=unit)))
+        turned = unit @ np.linalg.solve(nominal.inertia, nominal.torques)
+        each.append(("inertia", columns.weights(rate_around=unit, fire_beside=turned)))
     for spin, one in zip(nominal.spins.T, np.eye(nominal.spins.shape[1]), strict=True):
         for axis in np.eye(3):
             moved = WIDTHS["wheel"] * np.linalg.norm(spin) * axis
@@ -577,14 +584,15 @@ def vanishing(level: float, variance: float) -> float:
 
 def momentum_of(
     rows: Rows,
-    torques: Array,
+    nominal: Nominal,
     along: Array | None = None,
     swing_hz: float = 0.0,
     bias_rad_s: Array | None = None,
 ) -> Momentum:
     """Columns of an event's rows and their Gram matrices.
 
-    ``torques``: (3, K) of the thrusters. ``swing_hz``: of a boom that may oscillate; 0: of none.
+    ``nominal``: its torques and tails are what pulses bring. ``swing_hz``: of a boom that may
+    oscillate; 0: of none.
     ``bias_rad_s``: (3,) that rates may be off by, 1 σ; without it that of :data:`WIDTHS`.
     ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
     it alone: the columns are those of a wheel that says nothing.
@@ -615,6 +623,9 @@ def momentum_of(
     table[:, :, of["wheel"]] = carried(RAD_S_PER_RPM * rows.wheel_rpm)
     table[:, :, of["rate around"]] = carried(_around(rows.rate_rad_s))
     table[:, :, of["wheel around"]] = carried(RAD_S_PER_RPM * _around(rows.wheel_rpm))
+    # what a row has fired more than the rows around it, whose mean rate does not show it
+    thrust_s = nominal.thrust_s(rows)
+    table[:, :, of["fire beside"]] = carried(thrust_s - _around(thrust_s))
     table[:, :, of["fire"]] = fired
     table[:, :, of["pulse"]] = accumulated(np.diff(rows.pulses, axis=0))
     table[:, :, of["warm up"]] = accumulated(-WARM_UP_S * np.diff(warm, axis=0))
@@ -628,7 +639,7 @@ def momentum_of(
     flow = np.gradient(rows.wheel_rpm, time, axis=0)
     table[:, :, of["wheel flow"]] = carried(RAD_S_PER_RPM * flow)
     table[:, :, of["drift"]] = np.einsum("ia,nj->niaj", np.eye(3), modes).reshape(count, 3, -1)
-    shots = np.cumsum(close_pulses(rows) @ (torques**2).T, axis=0)
+    shots = np.cumsum(close_pulses(rows) @ (nominal.torques**2).T, axis=0)
     walks = np.stack([brownian_modes(clock, CUT_MODES) for clock in shots.T], axis=1)
     table[:, :, of["cut"]] = np.einsum("nia,naj->niaj", turn, walks).reshape(count, 3, -1)
     table[:, :, of["swing"]] = carried(swing_modes(time, swing_hz))

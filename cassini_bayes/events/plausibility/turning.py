@@ -33,6 +33,9 @@ INSTRUMENTS: Final = 6  # rates of both neighbours, three axes each
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate (judgement)."""
 LEAST_STEPS: Final = 12  # judgement: two for each instrument, fewer are not asked
+SHARED: Final = 3.0
+"""Steps that what one pulse brings counts for: a limit cycle in step with the rows drifts past them
+(judgement, as for rounded counters)."""
 STEP_S: Final = 8.0
 """Booms that swing faster are none of the body's turning; the body itself, fired at, is not much
 slower."""
@@ -54,6 +57,7 @@ class Turning:
     driven: Array  # Σ f zᵀ (3, 6), f what half an interval of the wheels' drive is, by step
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
+    pulsed: Array  # (3,) variance that pulses at unknown moments bring to a step
     steps: int
     each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
     bias_rad_s: Array  # (3,) by which rates may be off on the whole: what is found, and its noise
@@ -62,7 +66,7 @@ class Turning:
         """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
         turned, common, recorded = self.squares
         left = turned - 2.0 * rate @ common + rate @ recorded @ rate.T
-        return np.maximum(np.diag(left) / self.steps, 1e-24)
+        return np.maximum(np.diag(left) / self.steps, 1e-24) + self.pulsed
 
     def factor(self, axes: Sequence[int]) -> float:
         """The one factor of recorded rates that brings turns about some axes nearest."""
@@ -135,13 +139,20 @@ class Turning:
         return len(y) * float(np.log(largest))
 
 
-def turning_of(motion: Motion, drive_rad_s: Array | None = None) -> Turning | None:
+def turning_of(
+    motion: Motion, drive_rad_s: Array | None = None, fired_rad_s: Array | None = None
+) -> Turning | None:
     """The moments; None where there are too few steps.
 
     Where thrusters take what wheels give, the body's rate falls between pulses and jumps with them.
     If pulses begin with the rows the mean of two rates is off by half an interval of that fall, for
     as long as the wheels ramp: so much it may lean. ``drive_rad_s`` (n, 3) are the rates that the
-    body would have by the wheels alone; without, nothing fires.
+    body would have by the wheels alone, ``fired_rad_s`` (n, 3) by the thrusters alone; without,
+    nothing fires.
+
+    A pulse that brings J somewhere in an interval leaves the mean of two rates off by up to J/2,
+    with the variance J²/12. Where pulses come in step with the rows this lasts, and second
+    differences do not see it: it counts for :data:`SHARED` steps.
 
     Steps join intervals up to :data:`STEP_S`: booms that swing faster than that are none of
     the body's turning, and rates sampled at their swing's ends would look too large or too small.
@@ -162,8 +173,12 @@ def turning_of(motion: Motion, drive_rad_s: Array | None = None) -> Turning | No
     mean = joined(between * intervals_s[:, None]) / step_s
     turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
-    given = np.zeros_like(rates) if drive_rad_s is None else drive_rad_s
+    given, fired = (
+        np.zeros_like(rates) if each is None else each for each in (drive_rad_s, fired_rad_s)
+    )
     half = 0.5 * joined(intervals_s[:, None] * np.diff(given, axis=0)) / step_s
+    kicks = joined((intervals_s[:, None] * np.diff(fired, axis=0)) ** 2) / step_s**2
+    pulsed = SHARED * kicks.mean(axis=0) / 12.0
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
     after = rates[1 : used + 1].reshape(count, stride, 3).mean(axis=1)
@@ -183,4 +198,5 @@ def turning_of(motion: Motion, drive_rad_s: Array | None = None) -> Turning | No
     apart = each[0] - each[1]
     bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
-    return Turning(y.T @ z, x.T @ z, dx.T @ z, f.T @ z, inner, squares, len(y) - 2, each, bias)
+    moments = (y.T @ z, x.T @ z, dx.T @ z, f.T @ z)
+    return Turning(*moments, inner, squares, pulsed, len(y) - 2, each, bias)
