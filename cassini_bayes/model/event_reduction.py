@@ -11,7 +11,7 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -75,6 +75,8 @@ _TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
 _PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
 _CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
+MOST_LATE_S: Final = 3e9
+"""A century: a later first row is a count in another unit, no date."""
 MOST_KEPT: Final = 200_000
 """Rows of an event that stay in memory once they are read, some 50 MB."""
 
@@ -442,6 +444,27 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
     return None if statistics is None else (statistics, reading)
 
 
+def _require_start(event: TelemetryEvent, start_s: float, end_s: float) -> None:
+    """Refuse an event that begins later than it lasts: its torques are laid over [0, end].
+
+    A first row some minutes late does no harm. With a clock's count for time, or another event's
+    epoch, nearly all that the torque noise may do would lie before the first row.
+    """
+    lasts_s = end_s - start_s
+    if abs(start_s) <= lasts_s:
+        return
+    fix = "count times from the first row"
+    if abs(start_s) < MOST_LATE_S:
+        first = (event.epoch + timedelta(seconds=start_s)).isoformat()
+        fix = f"give epoch = {first} if times are dates, or {fix}"
+    raise InputError(
+        f"{event.where}: epoch",
+        "the time of the first row, from which times are counted",
+        f"a first row at {start_s:.10g} s, of {lasts_s:.10g} s of telemetry",
+        fix,
+    )
+
+
 class _Counters:
     """What thruster counters have gone through, from their first reading to the last."""
 
@@ -489,6 +512,7 @@ class _Reading:
         for chunk in self._rows.chunks():
             if self.rows == 0:
                 self.start_s = float(chunk.time_s[0])
+                _require_start(self._event, self.start_s, self._until_s)
             self.rows += chunk.rows
             self.end_s = float(chunk.time_s[-1])
             self._counters.take(chunk.on_time_s, chunk.pulses)

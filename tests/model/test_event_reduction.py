@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from event_cases import events, priors, simulated
 from run_cases import B_BRANCH
 
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import Chunk, read_event
+from cassini_bayes.events.telemetry import Chunk, event_from_frame, read_event
 from cassini_bayes.events.telemetry.tail import last_time
 from cassini_bayes.model import event_reduction, reduce_event, reduce_samples
 from cassini_bayes.model.event_reduction import store_reduction
@@ -151,3 +152,19 @@ def test_another_branch_is_refused(tmp_path: Path) -> None:
     (other_place / "event.toml").write_text(text)
     with pytest.raises(InputError, match="branch"):
         reduce_event(other_place, priors(), "first_order")
+
+
+@pytest.mark.parametrize("late_s", [-4e3, 3e3, 9.8e8, 1.7e12])
+def test_a_first_row_later_than_the_event_is_long_is_refused(late_s: float) -> None:
+    """Another epoch, or a clock's count for time: torque noise would lie before the first row.
+
+    With 9.8e8 s an inertia was 2.5 standard deviations off, and nothing was said but a note.
+    """
+    folder, spacecraft = simulated() / "bias", priors().spacecraft
+    rows = pd.read_csv(folder / "telemetry.csv")
+    late = rows.assign(time_s=rows["time_s"] + late_s)
+    event = event_from_frame(late, folder, spacecraft)
+    with pytest.raises(InputError) as caught:
+        reduce_event(event, priors(), "first_order")
+    assert caught.value.expected.startswith("the time of the first row")
+    assert ("give epoch" in caught.value.fix) == (late_s < 1e12)

@@ -37,6 +37,7 @@ from cassini_bayes.computing.arrays import Array, Places
 LEAST_STEP_S: Final = 5e-4
 # Widths' variances tried, in units of the rounding's: from none to no rounding at all.
 SPREADS: Final = np.concatenate([[0.0], np.logspace(-3.0, 5.0, 33)])
+LEAST_VALUES: Final = 5  # different readings that show a step
 LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
 SPREAD_ERROR: Final = 0.3  # of the widths' variance, as some dozens of firings tell it
 MOST_BIAS: Final = 1e-3  # of thrust, by an error of the widths' variance
@@ -126,18 +127,40 @@ def firings(gained_s: Array, begun: Array, most_pulses: float = MOST_PULSES) -> 
     return Firings(active, number, seconds, np.maximum(np.bincount(number, begun[active]), 1.0))
 
 
-def counter_step(on_time_s: Array) -> float:
+def counter_step(on_time_s: Array, pulses: Array) -> float:
     """Largest of the usual steps (1 ms to 1 s, 1-2-5) that all readings are multiples of; else 0.
 
-    A counter with few distinct values looks rounder than it is: five are asked for.
+    A counter with few distinct values looks rounder than it is: five are asked for. So does one
+    whose pulses have all one width, as its readings are multiples of that: it is not rounded.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the cumulative counters, in order.
     """
     values = np.unique(on_time_s[np.isfinite(on_time_s)])
-    if len(values) < 5:
+    if len(values) < LEAST_VALUES or _have_one_width(on_time_s, pulses):
         return 0.0
     for step in (1.0, 0.5, 0.25, 0.2, 0.125, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001):
         if np.all(np.abs(values - step * np.round(values / step)) < _SLACK):
             return step
     return 0.0
+
+
+def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
+    """Whether some thruster's readings are one width times its pulses, and no other's are not.
+
+    One pulse may have been counted at a reading and not yet fired, or at the first one.
+    """
+    said = set()
+    for gained, begun in zip((on_time_s - on_time_s[0]).T, (pulses - pulses[0]).T, strict=True):
+        if len(np.unique(gained)) < LEAST_VALUES:
+            continue
+        width = float(np.median(gained[begun > 0.0] / begun[begun > 0.0]))
+        fired = gained / width if width > 0.0 else np.full(len(gained), 0.5)
+        whole = np.abs(fired - np.round(fired)) * width < _SLACK
+        said.add(bool(np.all(whole & (np.abs(np.round(fired) - begun) <= 1.0))))
+    return said == {True}
 
 
 def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> OnTimes:

@@ -108,7 +108,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     if len(time) == 0:
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
         return Prepared(Preparation(steps, noise), time, on_time, pulses, end_s)
-    step_s = counter_step(on_time)
+    step_s = counter_step(on_time, pulses)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
     widths = _typical(single_widths(expected.on_time_s, on_time, pulses))
