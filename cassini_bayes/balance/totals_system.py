@@ -62,6 +62,7 @@ class TotalsSystem:
     arms_m: Array  # (..., E, 3, K), or (..., 1, 3, K)
     stretch: Array  # (n, E, K) effective over commanded on-time; 1 where a thruster did not fire
     response: Array  # (E, K, 3)
+    answered: Flags  # (E, 3), whether anything fired about an axis
     jacobian: ResponseJacobian  # at the reference thrust
     reference_n: Array  # (..., E, K), broadcastable
 
@@ -112,7 +113,9 @@ class TotalsSystem:
 
     def log_jacobian(self, thrust_n: Array) -> Array:
         """Exact log |det M| (n, E) at thrusts (n, E, K)."""
-        return response_jacobian(self.arms_m, self.stretch, self.response, thrust_n).value
+        return response_jacobian(
+            self.arms_m, self.stretch, self.response, thrust_n, self.answered
+        ).value
 
     def expanded_log_jacobian(self, thrust_n: Array) -> Array:
         """What the expansion about the reference thrust makes of it, (n, E)."""
@@ -194,7 +197,10 @@ def totals_system(
         arms_m=arms[..., None, :, :],
         stretch=np.broadcast_to(stretch, (*batch, n_events, n_thrusters)),
         response=stack.response,
-        jacobian=response_jacobian(arms[..., None, :, :], stretch, stack.response, reference),
+        answered=stack.answered,
+        jacobian=response_jacobian(
+            arms[..., None, :, :], stretch, stack.response, reference, stack.answered
+        ),
         reference_n=reference,
     )
 

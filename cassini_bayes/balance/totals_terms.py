@@ -45,6 +45,7 @@ class TotalsStack:
     wheel_is_prime: Flags  # (E, W)
     duration_s: Array  # (E,)
     response: Array  # (E, K, 3) thrusters that answer a momentum demand about each axis
+    answered: Flags  # (E, 3) whether any of them fired
     couples: Array  # (G, K) indicator
     delta_v_m_s: Array  # (E, 3), NaN where not given
     has_delta_v: Flags  # (E,)
@@ -67,8 +68,9 @@ def stack_events(
     Raises
     ------
     InputError
-        When there are no events, two carry the same id, one flew on another branch, or one gives
-        no pulse counts (the tail-off acts once per pulse, so on-times alone do not fix thrust).
+        When there are no events, two carry the same id, one flew on another branch, one gives
+        no pulse counts (the tail-off acts once per pulse, so on-times alone do not fix thrust), or
+        nothing fired in one.
     """
     if not events:
         raise InputError("events", "at least one event", "none", "name an event folder or CSV")
@@ -87,6 +89,13 @@ def stack_events(
                 f"none in the rows of source {event.source!r}",
                 "choose a source that has pulse counts (the tail-off acts once per pulse)",
             )
+        if not any(event.on_time_s):
+            raise InputError(
+                f"event {event.id}: on-times",
+                "at least one thruster that fired",
+                "0 s of all of them",
+                "leave the row out: it tells nothing of thrust",
+            )
     names = tuple(t.name for t in spacecraft.thrusters_of(branch))
     on_time = np.array([event.on_time_s for event in events], dtype=np.float64)
     numbers = [wheel.number for wheel in spacecraft.wheels]
@@ -104,6 +113,9 @@ def stack_events(
     measured.setflags(write=False)
     no_vector = np.full(3, np.nan)
     groups = couples(spacecraft, branch)
+    response = response_directions(on_time, pair_indicator(spacecraft, branch))
+    answered = answered_axes(on_time, response)
+    answered.setflags(write=False)
     return TotalsStack(
         event_ids=tuple(event.id for event in events),
         thrusters=names,
@@ -113,7 +125,8 @@ def stack_events(
         wheel_end_rad_s=_frozen(end),
         wheel_is_prime=prime,
         duration_s=_frozen([event.duration_s for event in events]),
-        response=_frozen(response_directions(on_time, pair_indicator(spacecraft, branch))),
+        response=_frozen(response),
+        answered=answered,
         couples=_frozen([[name in group for name in names] for group in groups]),
         delta_v_m_s=_frozen(
             [no_vector if event.delta_v_m_s is None else event.delta_v_m_s for event in events]
@@ -229,8 +242,16 @@ class ResponseJacobian:
     hessian: Array
 
 
+def answered_axes(on_time_s: Array, response: Array) -> Flags:
+    """Whether any thruster answered about each axis (E, 3).
+
+    on_time_s (E, K); response (E, K, 3) of :func:`response_directions`.
+    """
+    return np.asarray(np.einsum("ek,ekc->ec", on_time_s, np.abs(response)) > 0.0)
+
+
 def response_jacobian(
-    lever_arms: Array, stretch: Array, response: Array, thrust_n: Array
+    lever_arms: Array, stretch: Array, response: Array, thrust_n: Array, answered: Flags
 ) -> ResponseJacobian:
     """Jacobian between the momentum residual and the on-times that respond to it.
 
@@ -239,11 +260,17 @@ def response_jacobian(
     R the response directions and stretch = ∂s/∂u = s/u at fixed mean pulse width. With
     P = diag(stretch) R M⁻¹ Q: ∂logJ/∂F_k = P_kk and ∂²logJ/∂F_k∂F_l = −P_kl P_lk.
 
-    lever_arms (..., E, 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K), or
-    broadcastable. Derivation: docs/topics/totals-likelihood.md.
+    Where nothing fired about an axis its on-time has a probability at 0 and no density: its column
+    of M is a unit vector (of equal thrusts), whatever the thrusts are.
+
+    lever_arms (..., E, 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K),
+    answered (E, 3), or broadcastable. Derivation: docs/topics/totals-likelihood.md.
     """
-    rows = stretch[..., :, None] * response
-    matrix = (lever_arms * thrust_n[..., None, :]) @ rows
+    answers = answered[..., None, :]
+    rows = np.where(answers, stretch[..., :, None] * response, 0.0)
+    about = lever_arms @ response
+    unit = about / np.linalg.norm(about, axis=-2, keepdims=True)
+    matrix = np.where(answers, (lever_arms * thrust_n[..., None, :]) @ rows, unit)
     _, value = np.linalg.slogdet(matrix)
     spread = np.broadcast_to(lever_arms, (*matrix.shape[:-1], lever_arms.shape[-1]))
     projector = rows @ np.linalg.solve(matrix, spread)

@@ -380,7 +380,8 @@ def totals_terms(
     given, declared = stack.has_delta_v, stack.delta_v_measured
     measured = given & (declared | (delta_v == "as-measured")) & (delta_v != "ignore")
     computed = given & ~declared & (delta_v == "as-declared")
-    _require_mass(rows, measured | computed)
+    _require_given(rows, measured | computed, "mass_kg")
+    _require_given(rows, computed, "thrust_predicted_n")
     directions = thruster_directions(spacecraft, priors.branch)
     channel = None
     if computed.any():
@@ -433,12 +434,13 @@ def _require_wheels(rows: tuple[TotalsEvent, ...], priors: Priors) -> None:
             )
 
 
-def _require_mass(rows: tuple[TotalsEvent, ...], used: Flags) -> None:
+def _require_given(rows: tuple[TotalsEvent, ...], used: Flags, name: str) -> None:
+    """Refuse rows whose velocity change is used and that lack what it is made of."""
     for event, is_used in zip(rows, used, strict=True):
-        if is_used and (event.mass_kg is None or event.thrust_predicted_n is None):
+        if is_used and getattr(event, name) is None:
             raise InputError(
-                f"event {event.id}: mass_kg, thrust_predicted_n",
-                "both, because the event has a velocity change",
+                f"event {event.id}: {name}",
+                "a number, because the event has a velocity change",
                 "an empty cell",
-                'fill them in, or set delta_v = "ignore" in the run file\'s [model]',
+                'fill it in, or set delta_v = "ignore" in the run file\'s [model]',
             )

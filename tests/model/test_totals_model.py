@@ -69,6 +69,23 @@ def test_missing_mass_is_refused_only_where_delta_v_is_used() -> None:
     build_model(bare, priors, delta_v="ignore")
 
 
+def test_measured_delta_v_needs_no_assumed_thrust() -> None:
+    """An accelerometer's ΔV is fitted without the thrust that the ground software assumed."""
+    events, priors = flight(1)
+    bare = (replace(events[0], thrust_predicted_n=None),)
+    with pytest.raises(InputError, match="thrust_predicted_n"):
+        build_model(bare, priors)
+    build_model(bare, priors, delta_v="as-measured")
+
+
+def test_a_row_in_which_nothing_fired_is_refused() -> None:
+    """Eight of them had drawn the thrust from 0.760 ± 0.050 to 0.832 N."""
+    events, priors = flight(1)
+    none = (replace(events[0], on_time_s=0.0 * np.asarray(events[0].on_time_s)),)
+    with pytest.raises(InputError, match="at least one thruster that fired"):
+        build_model(none, priors)
+
+
 def test_collapsed_parameters_must_be_normal() -> None:
     """A bounded jitter prior cannot be integrated out: refused with the way out."""
     events, priors = flight(1)
