@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -396,3 +397,10 @@ def test_no_dangerous_guess_is_made(tmp_path: Path, name: str, hint: str) -> Non
         read_event(folder, CASSINI)
     assert hint in str(caught.value)
     assert "channel map" in str(caught.value)
+
+
+def test_an_event_goes_to_another_process_with_its_map(tmp_path: Path) -> None:
+    """Several events are read in processes of their own; a map that could not go ended them all."""
+    event = read_event(folder_of(tmp_path, "data.csv", MAP, foreign_frame(own_frame())), CASSINI)
+    copied = pickle.loads(pickle.dumps(event))  # noqa: S301  its own bytes
+    assert copied.channels == event.channels

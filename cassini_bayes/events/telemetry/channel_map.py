@@ -135,7 +135,7 @@ def _checked(table: Mapping[str, Any], where: str, digest: str) -> ChannelMap:
             repr(mark),
             'write e.g. delimiter = ";"',
         )
-    channels = MappingProxyType(dict(file.channels))
+    channels = dict(file.channels)  # plain: events go from process to process with their map
     return ChannelMap(where, channels, tuple(file.ignore), file.ignore_others, mark, digest)
 
 
