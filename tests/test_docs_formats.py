@@ -22,7 +22,9 @@ from cassini_bayes.events.telemetry.reader import load_event
 from cassini_bayes.events.totals import read_totals, totals_columns
 from cassini_bayes.model.mission import mission_file as mission
 from cassini_bayes.pipeline import run_file
+from cassini_bayes.pipeline.listings import causes
 from cassini_bayes.pipeline.run import WRITTEN
+from cassini_bayes.pipeline.starting import write_starting_files
 from cassini_bayes.priors.reader import known_parameters, read_priors
 from cassini_bayes.results.record import GROUPS
 from cassini_bayes.simulation import settings as scenario
@@ -228,6 +230,14 @@ def test_the_axis_pairs_of_the_example_spacecraft_turn_the_right_way() -> None:
     observer = load_spacecraft(EXAMPLES / "observer.toml")
     values = {"arm_m": 0.5, "girth_m": 0.4, "cm_x_m": 0.0, "cm_y_m": 0.0, "cm_z_m": 0.1}
     check_axis_pairs(observer, "main", values)
+
+
+def test_the_example_spacecraft_has_the_causes_of_its_wheels(tmp_path: Path) -> None:
+    """With the priors that init writes: three wheels of one inertia, none that tilts."""
+    write_starting_files(tmp_path / "new", str(EXAMPLES / "observer.toml"))
+    table = causes(tmp_path / "new" / "priors.toml")
+    of_wheels = [name for name in table["name"] if name.startswith("wheel_")]
+    assert of_wheels == [f"wheel_inertia:{number}" for number in (1, 2, 3)]
 
 
 def test_the_worked_quaternion_is_right() -> None:

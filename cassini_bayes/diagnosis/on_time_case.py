@@ -241,7 +241,8 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             for p in effect.parameters:
                 values[p.key] = parameters[p.name]
                 if p.is_departure:
-                    values[p.key] = values[p.key] + parameters.get(BASE.get(p.key, p.key), 0.0)
+                    base = BASE.get(p.baseline, p.baseline)
+                    values[p.key] = values[p.key] + parameters.get(base, 0.0)
         return values, weights
 
     def held_out(

@@ -90,8 +90,8 @@ def sizes_of(model: Model, effect: Effect, z: Array) -> dict[str, Array]:
     baseline = {**dict(zip(TORQUES, model.torque_mean_n_m, strict=True)), **parameters}
     values = effect.values(parameters)
     for parameter in effect.parameters:
-        if parameter.is_departure and parameter.key in baseline:
-            values[parameter.key] = values[parameter.key] + baseline[parameter.key]
+        if parameter.is_departure and parameter.baseline in baseline:
+            values[parameter.key] = values[parameter.key] + baseline[parameter.baseline]
     if effect.kind.report is None:
         return values
     return dict(effect.kind.report(values, effect.setting(model.spacecraft, model.branch)))

@@ -14,6 +14,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, known_parameters
+from cassini_bayes.spacecraft import WHEEL_KEYS
 
 ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 
@@ -205,7 +206,7 @@ def _targets(table: Table, priors: Priors, wheels: Sequence[int]) -> tuple[str, 
 
 
 def _effect(kind: Kind, table: Table, target: str, priors: Priors) -> Effect | None:
-    """The effect on one target; None where its parameter is fixed and gives no scale."""
+    """The effect on one target; None where its parameter is missing, or fixed and no scale."""
     parameters = []
     for row in table.parameters:
         parameter = _parameter(row, kind, target, priors)
@@ -247,11 +248,10 @@ def _parameter(
     row: ParameterTable, kind: Kind, target: str, priors: Priors
 ) -> EffectParameter | None:
     key = row.key.replace("{target}", target)
-    prior = priors.parameters.get(key)
-    known = known_parameters(priors.spacecraft)
-    if row.is_departure and key not in known:
-        expected = f"a departure from a parameter of {priors.spacecraft.name}"
-        check_known(str(row.where), key, known, expected)
+    baseline = _baseline(row, target, priors) if row.is_departure else key
+    if baseline is None:
+        return None
+    prior = priors.parameters.get(baseline)
     distribution = row.prior
     if not isinstance(distribution, Distribution):
         if prior is None or prior.distribution is None:
@@ -260,7 +260,7 @@ def _parameter(
         distribution = Distribution("norm", keywords, row.low, row.high, where=str(row.where))
     if row.is_departure and prior is not None and row.unit != prior.spec.unit:
         raise InputError(
-            str(row.where / "unit"), f"{prior.spec.unit}, that of {key}", repr(row.unit),
+            str(row.where / "unit"), f"{prior.spec.unit}, that of {baseline}", repr(row.unit),
             "convert the values, then write that unit",
         )  # fmt: skip
     role = "departure" if row.is_departure else "effect"
@@ -270,7 +270,19 @@ def _parameter(
         row.unit,
         distribution,
         row.is_departure,
+        baseline if row.is_departure else "",
     )
+
+
+def _baseline(row: ParameterTable, target: str, priors: Priors) -> str | None:
+    """Name of the parameter that a departure counts from; None where a wheel has no such thing."""
+    key, known = row.key.replace("{target}", target), known_parameters(priors.spacecraft)
+    if row.key in WHEEL_KEYS and target.isdigit():
+        return priors.spacecraft.wheel(int(target)).by_key.get(key)
+    if key not in known:
+        expected = f"a departure from a parameter of {priors.spacecraft.name}"
+        check_known(str(row.where), key, known, expected)
+    return key
 
 
 def _size(where: str, key: str, sizes: Sequence[str]) -> str:

@@ -41,9 +41,16 @@ def with_more(physics: Physics, **added: Array) -> Physics:
 def with_moved_axes(
     physics: Physics, parameters: Parameters, values: Values, setting: Setting
 ) -> Physics:
-    """Wheel axes where the baseline's tilts and angles and the departures together put them."""
-    moved = {name: np.asarray(parameters[name]) + value for name, value in values.items()}
-    return replace(physics, wheel_axes=wheel_axes(setting.spacecraft, {**parameters, **moved}))
+    """The target's axis where the baseline's tilts and angle and the departures together put it."""
+    craft, number = setting.spacecraft, int(setting.target)
+    named = craft.wheel(number).by_key
+    moved = {
+        named[key]: np.asarray(parameters[named[key]]) + value for key, value in values.items()
+    }
+    # another wheel may share the parameter, and stays where it is
+    is_target = np.array(craft.wheel_numbers) == number
+    axes = wheel_axes(craft, {**parameters, **moved})
+    return replace(physics, wheel_axes=np.where(is_target, axes, physics.wheel_axes))
 
 
 def with_columns(physics: Physics, weights: Mapping[str, Array]) -> Physics:

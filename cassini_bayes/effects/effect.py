@@ -166,8 +166,8 @@ class Kind:
 class EffectParameter:
     """One parameter of an effect, walked under ``name``.
 
-    ``key`` is its name in a diagnosis; a departure is added to the baseline's parameter of that
-    name, whose prior mean is ``centre``.
+    ``key`` is its name in a diagnosis; a departure is added to the parameter ``baseline`` of the
+    spacecraft or the model.
     """
 
     name: str
@@ -175,6 +175,7 @@ class EffectParameter:
     unit: str
     distribution: Distribution
     is_departure: bool
+    baseline: str = ""
 
 
 @dataclass(frozen=True)

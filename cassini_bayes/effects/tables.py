@@ -80,8 +80,9 @@ PARAMETER_KEYS: Final = ("role", "dist", "times_prior", "low", "high", "unit")
 class ParameterTable:
     """One parameter: its key, where ``{target}`` may stand, and the prior of it.
 
-    A departure counts from the baseline's parameter of the same name. Its prior may be given as
-    so many of the baseline's prior standard deviations: of a normal about zero, within bounds.
+    A departure counts from the baseline's parameter of the same name; one of a wheel's
+    (``WHEEL_KEYS``) from what the spacecraft file calls it. Its prior may be given as so many of
+    the baseline's prior standard deviations: of a normal about zero, within bounds.
     """
 
     where: Place

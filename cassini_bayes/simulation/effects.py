@@ -23,7 +23,7 @@ from cassini_bayes.simulation.limits import (
 )
 from cassini_bayes.simulation.plan import Plan, Surge, TorquePulse, Vector, frozen_mapping
 from cassini_bayes.simulation.settings import Appendage, EffectRequest
-from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft import WHEEL_KEYS, Spacecraft
 
 Values = Mapping[str, float]
 Change = Callable[[Plan, str, Values], Plan]
@@ -84,9 +84,16 @@ def _parameters(plan: Plan, _: str, values: Values) -> Plan:
     return plan.with_parameters(**values)
 
 
-def _articulation(plan: Plan, _: str, values: Values) -> Plan:
-    turned = plan.with_parameters(**values)
-    return replace(turned, spacecraft=plan.spacecraft.with_platforms(turned.parameters))
+def _of_wheel(plan: Plan, target: str, values: Values) -> Plan:
+    """The target alone, whatever the spacecraft calls its parameters, and whoever shares them."""
+    changed = plan.with_parameters(**values)
+    own = plan.spacecraft.with_own_parameters(int(target), values)
+    return replace(changed, spacecraft=own)
+
+
+def _articulation(plan: Plan, target: str, values: Values) -> Plan:
+    turned = _of_wheel(plan, target, values)
+    return replace(turned, spacecraft=turned.spacecraft.with_platforms(turned.parameters))
 
 
 def _pulse_shape(plan: Plan, _: str, values: Values) -> Plan:
@@ -158,8 +165,7 @@ def _plume(plan: Plan, target: str, values: Values) -> Plan:
     return replace(plan, plume=frozen_mapping({**plan.plume, target: values["lever_m"]}))
 
 
-_TILTS: Final = ("rwa{target}_tilt_u_rad", "rwa{target}_tilt_v_rad")
-_ARTICULATION: Final = ("rwa{target}_articulation_rad",)
+_INERTIA, *_TILTS, _ARTICULATION = WHEEL_KEYS
 _TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in AXES)
 _MODE: Final = ("frequency_hz", "damping", "amplitude_rad_s")
 _USUAL_MODE: Final = frozen_mapping({"axis": 2.0, "inertia_fraction": FLEXIBLE_INERTIA_FRACTION})
@@ -175,9 +181,9 @@ _ALL: Final = (
     Effect("tail_off", ("tau_fall_s",), None, _parameters),
     Effect("pulse_shape", ("impulse_time_offset_s",), None, _pulse_shape),
     Effect("center_of_mass", ("cm_{target}_m",), "axis", _parameters),
-    Effect("wheel_inertia", ("rwa{target}_inertia_kg_m2",), "wheel", _parameters),
-    Effect("wheel_alignment", _TILTS, "tilting wheel", _parameters),
-    Effect("wheel_articulation", _ARTICULATION, "articulated wheel", _articulation),
+    Effect("wheel_inertia", (_INERTIA,), "wheel", _of_wheel),
+    Effect("wheel_alignment", tuple(_TILTS), "tilting wheel", _of_wheel),
+    Effect("wheel_articulation", (_ARTICULATION,), "articulated wheel", _articulation),
     Effect("thruster_misalignment", ("cant_a_rad", "cant_b_rad"), "thruster", _misalignment),
     Effect("external_torque", _TORQUES, None, _parameters),
     Effect("thruster_leak", ("leak_n",), "thruster", _leak, further=("start_s",)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
+    WHEEL_KEYS,
     BranchGeometry,
     Platform,
     Spacecraft,
@@ -26,6 +27,7 @@ from cassini_bayes.spacecraft.reader import load_spacecraft
 
 __all__ = [
     "AXIS_DEMANDS",
+    "WHEEL_KEYS",
     "BranchGeometry",
     "Platform",
     "Spacecraft",

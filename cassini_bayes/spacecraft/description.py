@@ -19,6 +19,13 @@ CONTROL_CYCLE_S: Final = 0.125
 """Where a spacecraft file does not say: paper 001 section III."""
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
+WHEEL_KEYS: Final = (
+    "rwa{target}_inertia_kg_m2",
+    "rwa{target}_tilt_u_rad",
+    "rwa{target}_tilt_v_rad",
+    "rwa{target}_articulation_rad",
+)
+"""What effects call the parameters of wheel ``{target}``, whatever the spacecraft file does."""
 
 CENTRE_OF_MASS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
 
@@ -70,6 +77,15 @@ class Wheel:
         turned = self.platform if self.is_turned else None
         angle = () if turned is None else (turned.parameter,)
         return (self.inertia_parameter, *(self.tilt_parameters or ()), *angle)
+
+    @property
+    def by_key(self) -> dict[str, str]:
+        """Names of its parameters by what effects call them (``WHEEL_KEYS``)."""
+        tilts = self.tilt_parameters or (None, None)
+        angle = self.platform.parameter if self.platform is not None and self.is_turned else None
+        names = (self.inertia_parameter, *tilts, angle)
+        keys = (key.format(target=self.number) for key in WHEEL_KEYS)
+        return {key: name for key, name in zip(keys, names, strict=True) if name is not None}
 
     @cached_property
     def tilt_axes(self) -> Array:
@@ -189,6 +205,27 @@ class Spacecraft:
             else wheel
             for wheel in self.wheels
         )
+        return replace(self, wheels=wheels)
+
+    def with_own_parameters(self, number: int, keys: Container[str]) -> Spacecraft:
+        """The spacecraft with those of a wheel's parameters that are in ``keys`` named so.
+
+        ``keys`` are what effects call them (``WHEEL_KEYS``): no other wheel shares them then.
+        """
+        inertia, *tilts, angle = (key.format(target=number) for key in WHEEL_KEYS)
+
+        def own(wheel: Wheel) -> Wheel:
+            platform = wheel.platform
+            if platform is not None and angle in keys:
+                platform = replace(platform, parameter=angle)
+            return replace(
+                wheel,
+                inertia_parameter=inertia if inertia in keys else wheel.inertia_parameter,
+                tilt_parameters=(tilts[0], tilts[1]) if tilts[0] in keys else wheel.tilt_parameters,
+                platform=platform,
+            )
+
+        wheels = tuple(own(wheel) if wheel.number == number else wheel for wheel in self.wheels)
         return replace(self, wheels=wheels)
 
     def check_platforms(self, wheels: Collection[int], where: str) -> None:

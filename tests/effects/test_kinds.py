@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from spacecraft_cases import priors_of
 
 import cassini_bayes
-from cassini_bayes.balance.physics import physics_of
+from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import RowContext, Samples, reduce_chunks
 from cassini_bayes.balance.statistics.columns import Carry, settle
 from cassini_bayes.effects.catalogue import read_catalogue
@@ -100,6 +102,53 @@ def test_a_turned_platform_is_its_angle_moved_and_nearly_a_tilt() -> None:
     other = weights(across, "wheel_alignment:4") - weights({})
     assert np.abs(small - other).max() > 0.1 * np.abs(small).max()  # negative control
     assert not any(name.startswith("wheel_articulation") for name in CATALOGUE.names)
+
+
+def test_effects_on_a_wheel_find_what_the_spacecraft_file_calls_its_parameters() -> None:
+    """Twelve's wheels 1 and 2 share an inertia: the cause is one of them alone, as wide as that.
+    Wheel 5 tilts under names of its own; wheels 1 and 3 cannot tilt, and have no such cause.
+    """
+    priors = priors_of("twelve")
+    craft, numbers = priors.spacecraft, priors.spacecraft.wheel_numbers
+    catalogue = read_catalogue(priors, numbers, ("telemetry",))
+    tilting = [name for name in catalogue.names if name.startswith("wheel_alignment")]
+    assert tilting == ["wheel_alignment:2", "wheel_alignment:5"]
+    point = {name: np.array([value]) for name, value in priors.means().items()}
+    plain = physics_of(craft, priors.branch, point)
+
+    def changed(name: str, value: float) -> Physics:
+        effect = catalogue.effect(name)
+        own = dict.fromkeys((p.name for p in effect.parameters), np.zeros(1))
+        own[effect.parameters[0].name] = np.array([value])
+        modify = effect.modifier(craft, priors.branch)
+        return physics_of(craft, priors.branch, {**point, **own}, (modify,))
+
+    heavier = changed("wheel_inertia:1", 0.01).wheel_inertia_kg_m2 - plain.wheel_inertia_kg_m2
+    np.testing.assert_allclose(heavier, 0.01 * np.eye(4)[:1], atol=1e-15)
+    width = catalogue.effect("wheel_inertia:1").parameters[0].distribution.sd()
+    assert width == pytest.approx(5 * priors.parameters["old_wheel_inertia_kg_m2"].sd)
+    tilted = changed("wheel_alignment:5", 0.02).wheel_axes
+    moved = {**point, "w5_tilt_u_rad": point["w5_tilt_u_rad"] + 0.02}
+    np.testing.assert_array_equal(tilted, physics_of(craft, priors.branch, moved).wheel_axes)
+    assert np.abs(tilted - plain.wheel_axes).max() > 0.01
+
+
+def test_a_tilt_that_wheels_share_is_that_of_the_target_alone() -> None:
+    """Wheel 2 with the tilts of wheel 5 in the file: an effect on wheel 5 leaves wheel 2."""
+    priors = priors_of("twelve")
+    given = priors.spacecraft
+    tilts = given.wheel(5).tilt_parameters
+    wheels = [replace(w, tilt_parameters=tilts) if w.number == 2 else w for w in given.wheels]
+    craft = replace(given, wheels=tuple(wheels))
+    effect = read_catalogue(
+        replace(priors, spacecraft=craft), given.wheel_numbers, ("telemetry",)
+    ).effect("wheel_alignment:5")
+    point = {name: np.array([value]) for name, value in priors.means().items()}
+    point |= {p.name: np.array([0.02]) for p in effect.parameters}
+    plain = physics_of(craft, priors.branch, point)
+    found = physics_of(craft, priors.branch, point, (effect.modifier(craft, priors.branch),))
+    differs = np.abs(found.wheel_axes - plain.wheel_axes).max(axis=(0, 1)) > 0.01
+    assert differs.tolist() == [False, False, False, True]
 
 
 def test_cant_turns_the_force() -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from simulation_cases import BIAS, PARAMETERS, make_plan, run
 from simulation_cases import EFFECT_CASES as CASES
+from spacecraft_cases import TWELVE, middle
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import EFFECTS, EffectRequest, choose_effect, observe
 from cassini_bayes.simulation.arrays import make_body, make_thrusters
-from cassini_bayes.simulation.plan import Plan
+from cassini_bayes.simulation.plan import Plan, frozen_mapping
 from cassini_bayes.simulation.settings import StartSettings, TelemetrySettings
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
@@ -127,6 +129,26 @@ def test_a_warm_up_follows_its_formula() -> None:
         expected += 0.75 * float(np.sum(factor * shape.effective_time(log.width_s, *taus)))
     delivered = -motion.delta_v_body_m_s[-1, 2] * 2400.0
     assert delivered == pytest.approx(expected, rel=0.02)
+
+
+def test_an_effect_on_a_wheel_changes_that_wheel_alone_whatever_its_parameters_are_called() -> None:
+    """Twelve's wheels 1 and 2 share an inertia, wheel 5 tilts under names of its own; before, both
+    effects set parameters that its file does not have, and changed nothing.
+    """
+    plan = replace(
+        make_plan(wheels=(1, 2, 3, 5)),
+        spacecraft=load_spacecraft(TWELVE),
+        branch="P",
+        parameters=frozen_mapping({**PARAMETERS, **middle("twelve")}),
+    )
+    plain = make_body(plan)
+    heavy = make_body(chosen("wheel_inertia:2", {"rwa2_inertia_kg_m2": 0.3}, plan))
+    changed = heavy.wheel_inertia_kg_m2 != plain.wheel_inertia_kg_m2
+    assert changed.tolist() == [False, True, False, False]
+    assert heavy.wheel_inertia_kg_m2[1] == 0.3
+    tilt = {"rwa5_tilt_u_rad": 0.05, "rwa5_tilt_v_rad": 0.0}
+    tilted = make_body(chosen("wheel_alignment:5", tilt, plan))
+    assert (tilted.axes != plain.axes).any(axis=0).tolist() == [False, False, False, True]
 
 
 def test_a_leak_pushes_all_the_time() -> None:
