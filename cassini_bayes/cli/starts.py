@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -24,5 +25,6 @@ def init_command(
     """Write starting priors, run, event and channel files; no file is ever replaced."""
     from cassini_bayes.pipeline.starting import write_starting_files
 
-    for path in write_starting_files(folder, spacecraft, data or (), branch):
+    log = partial(typer.echo, err=True)
+    for path in write_starting_files(folder, spacecraft, data or (), branch, log):
         typer.echo(str(path))

@@ -11,10 +11,19 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
+from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.channel_map import UNITS
 from cassini_bayes.events.telemetry.columns import channel_columns
-from cassini_bayes.events.telemetry.matches import Match, Sample, first_date, matches, sample_of
+from cassini_bayes.events.telemetry.matches import (
+    Match,
+    Sample,
+    first_date,
+    matches,
+    may_be_driven,
+    sample_of,
+    wheels_in,
+)
 from cassini_bayes.files.checks import in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
@@ -57,7 +66,11 @@ class Start:
 
 
 def write_starting_files(
-    folder: Path, reference: str, data: Sequence[Path] = (), branch: str | None = None
+    folder: Path,
+    reference: str,
+    data: Sequence[Path] = (),
+    branch: str | None = None,
+    log: Log = silent,
 ) -> tuple[Path, ...]:
     """Write priors, run file, channel map and one event for each file of data.
 
@@ -72,6 +85,8 @@ def write_starting_files(
         with likely matches as comments.
     branch
         Thruster branch; by default the last, for which a spacecraft switches to its spare.
+    log
+        Is told which wheels were chosen, and why.
 
     Returns
     -------
@@ -88,8 +103,9 @@ def write_starting_files(
         known = spacecraft.branches
         expected = f"one of {', '.join(known)}"
         raise InputError("--branch", expected, repr(chosen), nearest(chosen, known))
-    start = Start(reference, spacecraft, chosen, _wheels(spacecraft, reference, chosen))
     samples = [sample_of(path) for path in data]
+    wheels, why = _wheels(spacecraft, reference, chosen, samples)
+    start = Start(reference, spacecraft, chosen, wheels)
     events = _event_names(samples)
     texts = {
         folder / "priors.toml": _priors(start, folder),
@@ -106,6 +122,8 @@ def write_starting_files(
             )
     for path, text in texts.items():
         write_text(path, text)
+    chosen_wheels = ", ".join(map(str, wheels))
+    log(f"wheels {chosen_wheels} {why}; for others change wheels in priors.toml and event.toml")
     return tuple(texts)
 
 
@@ -117,11 +135,17 @@ def _starting_text(reference: str, branch: str) -> str | None:
     return file.read_text(encoding="utf-8") if file.is_file() else None
 
 
-def _wheels(spacecraft: Spacecraft, reference: str, branch: str) -> tuple[int, ...]:
+def _wheels(
+    spacecraft: Spacecraft, reference: str, branch: str, samples: Sequence[Sample]
+) -> tuple[tuple[int, ...], str]:
+    """The prime wheels, and why these."""
     text = _starting_text(reference, branch)
     if text is not None:
-        return tuple(toml_of(text.encode(), reference)["spacecraft"]["wheels"])
-    return tuple(wheel.number for wheel in spacecraft.wheels)[:3]
+        return tuple(toml_of(text.encode(), reference)["spacecraft"]["wheels"]), "of its priors"
+    seen = wheels_in(samples[0].header, spacecraft) if samples else ()
+    if seen:
+        return seen, f"have columns in {samples[0].path.name}"
+    return tuple(spacecraft.wheel_numbers[:3]), "are the first of the spacecraft file"
 
 
 def _priors(start: Start, folder: Path) -> str:
@@ -188,6 +212,8 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
     result = matches(first, start.spacecraft, start.wheels, start.branch)
     used = {source for match in result for source in match.sources}
     left = [name for name in first.header if name not in used]
+    driven = [name for name in left if may_be_driven(name, start.spacecraft)]
+    left = [name for name in left if name not in driven]
     missing = [name for name in known if name not in {match.channel for match in result}]
     lines += [
         "",
@@ -196,10 +222,16 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
         " begins its lines.",
         *([f"# No column was found for: {', '.join(missing)}."] if missing else []),
         "",
+        *([f"# Of wheels or thrusters, it seems: map or ignore {_listed(driven)}."] * bool(driven)),
         *([f"{PROPOSED}ignore = {json.dumps(left, ensure_ascii=False)}", ""] if left else []),
         *_proposed(result),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+    return ", ".join(names[:_MOST_LISTED]) + more
 
 
 def _proposed(found: Sequence[Match]) -> list[str]:

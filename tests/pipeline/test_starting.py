@@ -58,6 +58,26 @@ def test_matches_are_proposed_and_not_in_force(tmp_path: Path) -> None:
     assert read_channel_map(place).channels == finished.channels
 
 
+def test_all_wheels_that_have_columns_are_chosen(tmp_path: Path) -> None:
+    """Twelve has four wheels and data of all: the fourth was left out, and proposed to be ignored.
+
+    A wheel or a thruster that matches nothing is named, for the user to decide on; with no data the
+    first three wheels are chosen.
+    """
+    path = tmp_path / "data.csv"
+    path.write_text("T,WHEEL1,WHEEL2,WHEEL3,WHEEL5,THR_9_CNT,P1_ON,MODE\n0,1,2,3,4,5,6,7\n")
+    said: list[str] = []
+    write_starting_files(tmp_path / "new", str(TWELVE), [path], log=said.append)
+    assert read_priors(tmp_path / "new" / "priors.toml").wheels == (1, 2, 3, 5)
+    assert said[0].startswith("wheels 1, 2, 3, 5 have columns in data.csv")
+    text = (tmp_path / "new" / "channels.toml").read_text()
+    assert f'{PROPOSED}ignore = ["MODE"]' in text
+    assert f'{PROPOSED}source = ["WHEEL1", "WHEEL2", "WHEEL3", "WHEEL5"]' in text
+    assert "map or ignore THR_9_CNT, P1_ON." in text
+    write_starting_files(tmp_path / "bare", str(TWELVE))
+    assert read_priors(tmp_path / "bare" / "priors.toml").wheels == (1, 2, 3)
+
+
 def test_nothing_is_replaced(tmp_path: Path) -> None:
     """One file in the way, and none is written."""
     (tmp_path / "run.toml").write_text("mine")

@@ -30,6 +30,7 @@ _WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "on_time": re.compile(r"on|dur|fir|time|sec|ms"),
     "delta_v": re.compile(r"dv|delta"),
 }
+_DRIVEN: Final = re.compile(r"(?<![a-z])rw|whl|wheel|thr|puls|on_?time")
 _TIME: Final = re.compile(r"utc|time|date|epoch|^t$|^sec")
 
 
@@ -99,10 +100,36 @@ def matches(
     return tuple(proposals)
 
 
+def wheels_in(header: Sequence[str], spacecraft: Spacecraft) -> tuple[int, ...]:
+    """Numbers of the wheels that have columns of one pattern, as many as any pattern has."""
+    numbers = spacecraft.wheel_numbers
+    families = _families(header, list(map(str, numbers)))
+    found = [columns for stem, columns in families.items() if _WORDS["wheel"].search(stem)]
+    most = max(found, key=len, default={})
+    return tuple(number for number in numbers if str(number) in most)
+
+
+def may_be_driven(name: str, spacecraft: Spacecraft) -> bool:
+    """Whether a column's name looks like that of a wheel or a thruster, of any branch."""
+    low = name.lower()
+    names = [wheel.name for wheel in spacecraft.wheels]
+    own = {each.lower() for each in [*names, *(t.name for t in spacecraft.thrusters)]}
+    return bool(_DRIVEN.search(low)) or not own.isdisjoint(re.split(r"[^a-z0-9]+", low))
+
+
 def _family(
     header: Sequence[str], members: Sequence[str], channel: str
 ) -> tuple[tuple[str, ...], str]:
     """Columns that differ by the members alone, the rest of their name, a star between."""
+    for stem, columns in _families(header, members).items():
+        other = channel == "on_time" and _WORDS["pulses"].search(stem)
+        if len(columns) == len(members) and _WORDS[channel].search(stem) and not other:
+            return tuple(columns[member] for member in members), stem
+    return (), ""
+
+
+def _families(header: Sequence[str], members: Sequence[str]) -> dict[str, dict[str, str]]:
+    """By the rest of a name, a star in a member's place: the columns of members."""
     families: dict[str, dict[str, str]] = {}
     for name in header:
         low = name.lower()
@@ -110,11 +137,7 @@ def _family(
             for place in re.finditer(re.escape(member), low):
                 stem = f"{low[: place.start()]}*{low[place.end() :]}"
                 families.setdefault(stem, {}).setdefault(member, name)
-    for stem, columns in families.items():
-        other = channel == "on_time" and _WORDS["pulses"].search(stem)
-        if len(columns) == len(members) and _WORDS[channel].search(stem) and not other:
-            return tuple(columns[member] for member in members), stem
-    return (), ""
+    return families
 
 
 def _attitudes(header: Sequence[str]) -> list[Match]:
