@@ -9,6 +9,7 @@ from cassini_bayes.balance.physics import INERTIA_PARAMETERS
 from cassini_bayes.events.plausibility import STRICT, Policy, check_totals
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft import check_axis_pairs
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 
 FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
@@ -37,10 +38,13 @@ def nominal_values(priors: Priors) -> dict[str, float]:
     Raises
     ------
     InputError
-        Inertia, wheels, or what fires is missing: momentum cannot be computed.
+        Inertia, wheels, or what fires is missing: momentum cannot be computed. Thrusters that are
+        fired for a torque turn the spacecraft the other way.
     """
     spacecraft = priors.spacecraft
     geometry = spacecraft.geometry[priors.branch]
     needed = (*INERTIA_PARAMETERS, *CENTRE_OF_MASS, *geometry.parameters, *FIRING_PARAMETERS)
     priors.require(needed, "telemetry")
-    return {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **priors.means()}
+    means = priors.means()
+    check_axis_pairs(spacecraft, priors.branch, means)
+    return {**dict.fromkeys(spacecraft.wheel_parameters(), 0.0), **means}

@@ -13,7 +13,7 @@ from cassini_bayes.simulation.settings import EventSettings, Scenario
 from cassini_bayes.simulation.streams import stream
 from cassini_bayes.simulation.telemetry import Telemetry, observe, record_interval_s
 from cassini_bayes.simulation.truth import TORQUE_NOISE, Truth
-from cassini_bayes.spacecraft import Spacecraft
+from cassini_bayes.spacecraft import Spacecraft, check_axis_pairs
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,14 @@ def make_plan(
 
     The duration is settled before the effects: commands do not know of them, and events with and
     without an effect can be subtracted row by row.
+
+    Raises
+    ------
+    InputError
+        Thrusters that the controller fires for a torque turn the spacecraft the other way.
     """
     branch, parameters = scenario.spacecraft.branch, truth.of(event.id)
+    check_axis_pairs(spacecraft, branch, parameters)
     plan = Plan(
         spacecraft=spacecraft.with_platforms(parameters),
         branch=branch,

@@ -16,7 +16,7 @@ from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import validated
 from cassini_bayes.simulation.effects import EFFECTS, ChosenEffect, Effect, choose_effect
 from cassini_bayes.simulation.limits import Limit, is_angle, is_not_negative, is_positive, limited
-from cassini_bayes.simulation.settings import SMALLEST, EventSettings, Scenario, Vector
+from cassini_bayes.simulation.settings import SMALLEST, EventSettings, RcsSettings, Scenario, Vector
 from cassini_bayes.simulation.telemetry import record_interval_s
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import generic_parameters
@@ -114,6 +114,7 @@ def scenario_of(
     scenario = validated(Scenario, document, where)
     folder = Path(folder)
     spacecraft = _spacecraft(where, folder, scenario)
+    scenario = _with_cycle(where, scenario, spacecraft.control_cycle_s)
     _check_wheels(where, scenario, spacecraft)
     ids = _check_events(where, scenario)
     for appendage in scenario.appendage:
@@ -165,6 +166,28 @@ def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
     table = scenario.spacecraft
     check_either(f"{where}: spacecraft", table.name is not None, table.file is not None)
     return load_spacecraft(folder / str(table.file) if table.name is None else table.name)
+
+
+def _with_cycle(where: str, scenario: Scenario, cycle_s: float) -> Scenario:
+    """The scenario with its spacecraft's control cycle, and pulses of at most that where unsaid."""
+    if "cycle_s" in scenario.model_fields_set and scenario.cycle_s != cycle_s:
+        raise InputError(
+            f"{where}: cycle_s",
+            f"{cycle_s:g} s, control_cycle_s of the spacecraft file, which inference counts with",
+            f"{scenario.cycle_s:g} s",
+            "leave cycle_s out, or correct control_cycle_s",
+        )
+
+    def of_cycle(rcs: RcsSettings) -> RcsSettings:
+        is_given = "pulse_max_s" in rcs.model_fields_set
+        return rcs if is_given else rcs.model_copy(update={"pulse_max_s": cycle_s})
+
+    events = tuple(
+        each if each.rcs is None else each.model_copy(update={"rcs": of_cycle(each.rcs)})
+        for each in scenario.event
+    )
+    changed = {"cycle_s": cycle_s, "rcs": of_cycle(scenario.rcs), "event": events}
+    return scenario.model_copy(update=changed)
 
 
 def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:

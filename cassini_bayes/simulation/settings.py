@@ -217,7 +217,9 @@ class EffectRequest(Table):
 class Scenario(Table):
     """A whole scenario file; ``step_s`` is the integrator's fixed step.
 
-    With ``torque_noise`` a white torque acts, of the density ``torque_noise_n_m_s05`` of the truth.
+    Where a file leaves out ``cycle_s`` or ``pulse_max_s`` of ``rcs``, they are the control cycle of
+    its spacecraft, s. With ``torque_noise`` a white torque acts, of the density
+    ``torque_noise_n_m_s05`` of the truth.
     """
 
     spacecraft: SpacecraftSettings

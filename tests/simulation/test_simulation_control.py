@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pytest
-from simulation_cases import BIAS, SLEWS, make_plan, run
+from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
 
-from cassini_bayes.simulation import kernel
+from cassini_bayes.errors import InputError
+from cassini_bayes.simulation import Truth, kernel, scenario_of
 from cassini_bayes.simulation.arrays import make_body
 from cassini_bayes.simulation.engine import event_duration_s, ramp_duration_s
+from cassini_bayes.simulation.events import make_plan as plan_of
 from cassini_bayes.simulation.motion import Motion
 from cassini_bayes.simulation.settings import (
     PropulsionSettings,
@@ -19,9 +24,10 @@ from cassini_bayes.simulation.settings import (
     StartSettings,
     WheelSettings,
 )
-from cassini_bayes.spacecraft import pair_indicator
+from cassini_bayes.spacecraft import load_spacecraft, pair_indicator
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 QUIET = RcsSettings(attitude_knowledge_rad=0.0, rate_knowledge_rad_s=0.0)
 
 
@@ -49,6 +55,39 @@ def test_the_duration_is_the_one_that_paper_001_prints() -> None:
     """T = t1 + 6 τ_W of the slowest wheel gives the printed 1062 s within a cycle or two."""
     assert ramp_duration_s(make_plan()) == pytest.approx(1062.0, abs=2.0)
     assert event_duration_s(make_plan(), 0.125) % 0.125 == 0.0
+
+
+OBSERVER: Final[dict[str, Any]] = {
+    "spacecraft": {"file": "observer.toml", "branch": "main", "wheels": [1, 2, 3]},
+    "event": [{**BIAS, "epoch": "2031-03-01T06:00:00Z"}],
+}
+
+
+def test_a_scenario_has_the_control_cycle_of_its_spacecraft() -> None:
+    """The example's file says 0.25 s; it was flown with Cassini's 0.125 s. Another is refused."""
+    scenario = scenario_of(OBSERVER, EXAMPLES).scenario
+    assert (scenario.cycle_s, scenario.rcs.pulse_max_s) == (0.25, 0.25)
+    event = {**OBSERVER["event"][0], "rcs": {"pulse_law": "adaptive"}}
+    of_event = scenario_of({**OBSERVER, "event": [event]}, EXAMPLES).scenario.event[0].rcs
+    assert of_event is not None
+    assert of_event.pulse_max_s == 0.25
+    short = scenario_of({**OBSERVER, "rcs": {"pulse_max_s": 0.1}}, EXAMPLES).scenario
+    assert (short.cycle_s, short.rcs.pulse_max_s) == (0.25, 0.1)
+    with pytest.raises(InputError, match=r"cycle_s: expected 0\.25 s, control_cycle_s"):
+        scenario_of({**OBSERVER, "cycle_s": 0.125}, EXAMPLES)
+
+
+def test_pairs_that_turn_the_wrong_way_are_not_flown() -> None:
+    """A controller that pushes an error up would spin the spacecraft, not hold it."""
+    spacecraft = load_spacecraft("cassini")
+    pairs = dict(spacecraft.axis_pairs)
+    pairs["+z"], pairs["-z"] = pairs["-z"], pairs["+z"]
+    table = {"name": "cassini", "branch": "B", "wheels": [1, 2, 4]}
+    file = scenario_of({**OBSERVER, "spacecraft": table})
+    event, truth = file.scenario.event[0], Truth({**PARAMETERS, "thrust_common_n": 0.75})
+    assert plan_of(file.scenario, spacecraft, event, truth)
+    with pytest.raises(InputError, match=r"axis_pairs\.\+z"):
+        plan_of(file.scenario, replace(spacecraft, axis_pairs=pairs), event, truth)
 
 
 def test_uncompensated_drag_leaves_a_wheel_short_of_its_speed() -> None:
