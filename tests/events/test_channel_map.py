@@ -369,6 +369,25 @@ def test_a_bad_cell_is_named_by_both_names(tmp_path: Path) -> None:
         load_event(read_event(folder, CASSINI), CASSINI)
 
 
+def test_a_counter_of_the_wrong_kind_is_told_by_the_key_of_its_map(tmp_path: Path) -> None:
+    """On-times that count up, read as those of intervals, outrun the clock, and the other way round
+    they fall: both name the map's file, table and key, where only the unit was spoken of.
+    """
+    frame = foreign_frame(own_frame())
+    table = {**MAP, "channels": {**MAP["channels"]}}
+    for name in THRUSTERS:
+        frame[f"T_{name}"] = frame[f"T_{name}"].cumsum()
+    folder = folder_of(tmp_path / "up", "data.csv", table, frame)
+    hint = r'channels\.toml: channels\.on_time\.kind is "per_interval": write "cumulative"'
+    with pytest.raises(InputError, match=hint):
+        load_event(read_event(folder, CASSINI), CASSINI)
+    table["channels"]["on_time"] = {**MAP["channels"]["on_time"], "kind": "cumulative"}
+    folder = folder_of(tmp_path / "anew", "data.csv", table, foreign_frame(own_frame()))
+    hint = r'write kind = "per_interval" in .*channels\.toml: channels\.on_time if'
+    with pytest.raises(InputError, match=hint):
+        load_event(read_event(folder, CASSINI), CASSINI)
+
+
 def test_a_date_of_digits_is_no_number(tmp_path: Path) -> None:
     """20100213 in a column of dates is a day, never a count of seconds."""
     own = own_frame(2)

@@ -88,6 +88,14 @@ class ChannelMap:
     delimiter: str
     digest: str
 
+    def other_kind(self, channel: str, column: str) -> str:
+        """Where the file says how a counter's column counts, and what it may have to say."""
+        key = column if column in self.channels else channel
+        where = f"{self.where}: channels.{key}"
+        if key in self.channels and self.channels[key].kind == "per_interval":
+            return f'{where}.kind is "per_interval": write "cumulative" if the column counts up'
+        return f'write kind = "per_interval" in {where} if the column counts anew in every row'
+
 
 @dataclass(frozen=True)
 class Column:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.events.telemetry.block import Block
+from cassini_bayes.events.telemetry.channel_map import ChannelMap
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.totals import SHORTEST_PULSE_S
@@ -37,8 +38,11 @@ def wrap_sizes(channel: str) -> tuple[float, ...]:
 class Counter:
     """One kind of counter, cumulative on-times or pulses, of all thrusters of the branch."""
 
-    def __init__(self, channel: str, layout: Layout, mends: Mends) -> None:
+    def __init__(
+        self, channel: str, layout: Layout, mends: Mends, channel_map: ChannelMap | None
+    ) -> None:
         self._channel = channel
+        self._map = channel_map
         self._columns = list(layout.channels[channel])
         self._time = layout.channels["time"][0]
         self._mends = mends
@@ -101,8 +105,7 @@ class Counter:
                     column,
                     f"a cumulative count of at least {before:.10g} {self._unit}",
                     "it was reset or misread, and is no counter that wraps: add what was counted"
-                    " before, or split the event there; counts per interval need a channel map with"
-                    ' kind = "per_interval"',
+                    f" before, or split the event there; {self._other_kind(block.header[column])}",
                     f"{now:.10g}",
                 )
             self._size = size
@@ -149,9 +152,17 @@ class Counter:
                 int(rows[i]),
                 self._columns[k],
                 f"an on-time that grows by at most the {step_s[i]:.6g} s since its last sample",
-                "check the unit (s, not ms) and that it belongs to one thruster only",
+                "check the unit (s, not ms) and that it belongs to one thruster only"
+                if self._map is None
+                else f"{self._other_kind(block.header[self._columns[k]])}; or correct unit or"
+                " source there",
                 f"a growth by {growth[k, i]:.6g} s",
             )
+
+    def _other_kind(self, name: str) -> str:
+        if self._map is None:
+            return 'counts per interval need a channel map with kind = "per_interval"'
+        return self._map.other_kind(self._channel, name.partition(" (from")[0])
 
 
 class Agreement:

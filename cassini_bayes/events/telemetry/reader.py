@@ -99,8 +99,8 @@ class _Checks:
         self._layout = layout
         self._times = Times(layout, mends)
         self._attitudes = Attitudes(layout, mends)
-        self._on_times = Counter("on_time", layout, mends)
-        self._pulses = Counter("pulses", layout, mends)
+        self._on_times = Counter("on_time", layout, mends, event.channels)
+        self._pulses = Counter("pulses", layout, mends, event.channels)
         self._agreement = Agreement(layout)
         self._samples = dict.fromkeys(layout.channels, 0)
 
