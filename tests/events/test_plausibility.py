@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy import signal
 from simulation_cases import BIAS, EPOCH, PARAMETERS, SLEWS
+from spacecraft_cases import TWELVE, middle
 from totals_cases import B_BRANCH, FLIGHT
 
 from cassini_bayes.computing.arrays import Array
@@ -42,6 +43,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     _lies_along,
     _of_shifts,
     by_evidence,
+    explanations,
     likeliest,
     with_scaled_rates,
 )
@@ -237,6 +239,27 @@ def evidence_of(event: TelemetryEvent, chunk: Chunk) -> Evidence:
     collected.add(chunk)
     nominal = Nominal.of(CASSINI, event.branch, event.wheels, NOMINAL, fires=bool(event.thrusters))
     return Evidence(nominal, collected.motion(), collected.rows())
+
+
+def test_messages_name_the_wheels_as_the_spacecraft_file_does(honest: dict[str, Event]) -> None:
+    """Units, orders, factors, still columns and bad cells: none speaks of Cassini's rwa columns."""
+    event, chunk = honest["bias"]
+    twelve = load_spacecraft(TWELVE)
+    own = Nominal.of(twelve, "P", (1, 2, 5), middle("twelve"), fires=True).wheel_names
+    assert own == ("w1", "w2", "w5")
+    still = chunk.wheel_rpm.copy()
+    still[:, 1] = still[0, 1]
+    evidence = evidence_of(event, replace(chunk, wheel_rpm=still))
+    evidence = replace(evidence, nominal=replace(evidence.nominal, wheel_names=own))
+    found = list(explanations(evidence, event.wheels, event.thrusters))
+    said = " ".join(f"{each.what} {each.fix}" for each in found)
+    assert "convert w1_rpm, w2_rpm, w5_rpm to rev/min" in said
+    assert "a column w2_rpm that stands still" in said
+    assert "rwa" not in said
+    cell = chunk.wheel_rpm.copy()
+    cell[40, 0] += 300.0
+    search = CellSearch(evidence.nominal, event.wheels)
+    assert [bad.column for bad in search.find(replace(chunk, wheel_rpm=cell))] == ["w1_rpm"]
 
 
 def test_a_small_error_hides_in_any_torque_and_any_bias(

@@ -96,7 +96,7 @@ class CellSearch:
         cells, found = cells.copy(), {}
         recorded = cells.copy()
         names = [f"rate_{axis}_rad_s" for axis in "xyz"]
-        names += [f"rwa{number}_rpm" for number in self.wheels]
+        names += [f"{name}_rpm" for name in self.nominal.wheel_names]
         of_rates = np.arange(cells.shape[1]) < 3
         for _ in range(MOST_PASSES):
             jumps, spread = _jumps(cells)

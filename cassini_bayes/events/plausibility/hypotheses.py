@@ -391,17 +391,18 @@ def _of_silent_channels(evidence: Evidence, wheels: Sequence[int]) -> Iterator[E
         column = rows.wheel_rpm[:, w]
         repeated = [
             other
-            for place, other in enumerate(wheels)
+            for place, other in enumerate(nominal.wheel_names)
             if place != w and np.array_equal(column, rows.wheel_rpm[:, place])
         ]
         stood_s = _stood_still_s(rows.time_s, column)
         if repeated:
-            what = f"repeats rwa{repeated[0]}_rpm"
+            what = f"repeats {repeated[0]}_rpm"
         elif stood_s > long_s:
             what = f"stands still for {stood_s:.4g} s"
         else:
             continue
-        what, fix = f"a column rwa{number}_rpm that {what}", f"give the rate of wheel {number}"
+        what = f"a column {nominal.wheel_names[w]}_rpm that {what}"
+        fix = f"give the rate of wheel {number}"
         excess = SILENT * evidence.excess_across(nominal.spins[:, w])
         if _lies_along(evidence, nominal.spins[:, w], excess):
             left = excess + evidence.turned()

@@ -97,6 +97,7 @@ class Nominal:
     torques: Array  # (3, K) N m of each thruster
     pushes: Array  # (3, K) N of each thruster
     tail_s: float  # of thrust that a pulse delivers beyond its width
+    wheel_names: tuple[str, ...]  # (W,) prefixes of their columns, for messages
 
     @classmethod
     def of(
@@ -117,7 +118,8 @@ class Nominal:
             torques = force * lever_arms(spacecraft, branch, parameters)
             pushes = force * thruster_directions(spacecraft, branch)
         tail_s = parameters.get("tau_fall_s", 0.0) - parameters.get("tau_rise_s", 0.0)
-        return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s)
+        names = tuple(spacecraft.wheels[place].name for place in places)
+        return cls(inertia_tensor(parameters), spins[:, places], torques, pushes, tail_s, names)
 
     def of_wheels(self, wheel_rpm: Array) -> Array:
         """Momentum (n, 3), N m s, of wheels at rates (n, W) in rev/min."""

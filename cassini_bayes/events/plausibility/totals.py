@@ -383,8 +383,8 @@ def _with_on_times(rows: Sequence[TotalsRow], factor: float | Array) -> list[Tot
 def _cells(table: _Table, row: TotalsRow, thrusters: Sequence[str]) -> Iterator[tuple[str, Array]]:
     """Cells of a row, and what an error of a usual size in each brings (3,)."""
     nominal = table.nominals[row.wheels]
-    for place, number in enumerate(row.wheels):
+    for place, name in enumerate(nominal.wheel_names):
         direction = 1000.0 * RAD_S_PER_RPM * nominal.spins[:, place]
-        yield f"rwa{number}_rpm_start or rwa{number}_rpm_end", direction
+        yield f"{name}_rpm_start or {name}_rpm_end", direction
     for k, name in enumerate(thrusters):
         yield f"on_time_{name}_s", max(CELL_S, 3.0 * row.on_time_s[k]) * nominal.torques[:, k]

@@ -69,7 +69,9 @@ def of_wheels(
     ``nothing`` corrects nothing; a wheel jumps where it jumps most in ``rows``.
     """
     count, jumps_s = len(wheels), rows.time_s[largest_jumps(rows.wheel_rpm)]
-    fix = "correct the names of the rwa…_rpm columns, or wheels in event.toml"
+    columns = [f"{name}_rpm" for name in nominal.wheel_names]
+    every = ", ".join(columns)
+    fix = f"correct which columns are {every}, or wheels in event.toml"
     for order, what in other_orders(wheels):
         # column j of the file holds the wheel that stands at order[j]
         matrix = np.zeros((count, count))
@@ -80,12 +82,12 @@ def of_wheels(
         named = "all wheels" if len(turned) == count else f"wheels {turned}"
         what = f"rates of {named} of the opposite sign"
         yield Undone("wheel-sign", what, fix, replace(nothing, wheel=np.diag(signs)), ORDER_PRICE)
-    fix = "convert the rwa…_rpm columns to rev/min"
+    fix = f"convert {every} to rev/min"
     for unit, factor in WHEEL_UNITS.items():
         what = f"wheel rates that look like {unit} (times {factor:.4g})"
         yield Undone("wheel-unit", what, fix, replace(nothing, wheel=factor * np.eye(count)))
-    for w, number in enumerate(wheels):
-        rate, column = f"a rate of wheel {number}", f"rwa{number}_rpm"
+    for w, (number, column) in enumerate(zip(wheels, columns, strict=True)):
+        rate = f"a rate of wheel {number}"
         scaled = replace(nothing, wheel_factor=(w,))
         what = f"{rate} that has to be multiplied by {{factor:.4g}}"
         fix = f"check the unit and scale of {column}"
