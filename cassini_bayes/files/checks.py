@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Collection, Iterable
 from datetime import UTC, datetime
+from numbers import Integral
 from typing import Final
 
 from cassini_bayes.errors import InputError
@@ -56,6 +57,20 @@ def check_known(
     wanted = expected or f"one of {', '.join(known) or 'none'}"
     hint = choose if expected is None and known else nearest
     raise InputError(where, wanted, got or repr(name), hint(str(name), known))
+
+
+def check_seed(seed: object, where: str = "seed") -> None:
+    """Refuse what no stream of random numbers begins with.
+
+    Raises
+    ------
+    InputError
+        No whole number, or one below 0 or above ``LARGEST_SEED``.
+    """
+    is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
+    if not is_whole or not 0 <= int(seed) <= LARGEST_SEED:  # type: ignore[call-overload]
+        expected = f"a whole number from 0 to {LARGEST_SEED}"
+        raise InputError(where, expected, repr(seed), "choose another seed")
 
 
 def finite_number(where: str, value: object, unit: str = "") -> float:

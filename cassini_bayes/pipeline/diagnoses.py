@@ -27,7 +27,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import split_reference
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.checks import DEFAULT_SEED
+from cassini_bayes.files.checks import DEFAULT_SEED, check_seed
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import is_event_folder
@@ -273,6 +273,7 @@ def diagnose(
         Bad data or priors; a folder that holds something else; a diagnosis to resume that began
         with other inputs, settings, code or libraries.
     """
+    check_seed(seed)
     given = each_event(events)
     names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
     kinds = read_kinds([Path(path) for path in effect_files])

@@ -17,8 +17,10 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.files.checks import check_known, check_seed
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.toml_file import read_toml
+from cassini_bayes.files.validated import validated
 from cassini_bayes.model.draws import event_log_marginal
 from cassini_bayes.model.gather import EventLike, PathLike
 from cassini_bayes.model.posterior import Model
@@ -370,15 +372,17 @@ def fit(
 def _sampler_of(
     sampler: SamplerSettings | Mapping[str, Any] | None, seed: int | None
 ) -> SamplerSettings:
-    if sampler is None or not isinstance(sampler, SamplerSettings):
-        try:
-            settings = SamplerSettings(**(sampler or {}))
-        except TypeError as error:
-            fields = ", ".join(vars(SamplerSettings()))
-            raise InputError("sampler", f"some of {fields}", str(error), "rename it") from error
-    else:
+    if isinstance(sampler, SamplerSettings):
         settings = sampler
-    return settings if seed is None else replace(settings, seed=seed)
+    else:
+        given, known = dict(sampler or {}), tuple(vars(SamplerSettings()))
+        for key in given:
+            check_known(f"sampler: {key}", key, known, f"some of {', '.join(known)}")
+        settings = validated(SamplerTable, given, "sampler").settings()
+    if seed is not None:
+        settings = replace(settings, seed=seed)
+    check_seed(settings.seed)
+    return settings
 
 
 def _merged(table: SamplerTable, settings: SamplerSettings, seed: int | None) -> SamplerTable:

@@ -15,7 +15,7 @@ import pandas as pd
 import xarray as xr
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import DEFAULT_SEED
+from cassini_bayes.files.checks import DEFAULT_SEED, check_seed
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
@@ -288,6 +288,7 @@ def predict(
     InputError
         A fit without wheel biases; files that have moved; an impossible bias.
     """
+    check_seed(seed)
     began = time.perf_counter()
     sources, draws = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)

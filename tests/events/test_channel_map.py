@@ -388,6 +388,20 @@ def test_a_counter_of_the_wrong_kind_is_told_by_the_key_of_its_map(tmp_path: Pat
         load_event(read_event(folder, CASSINI), CASSINI)
 
 
+def test_what_is_no_frame_and_text_in_one_are_named() -> None:
+    """Nothing, a dictionary and an array are told from a frame; one cell of text by its row."""
+    own = own_frame()
+    for other in (None, own.to_dict("list"), own.to_numpy()):
+        with pytest.raises(InputError, match=r"expected a pandas DataFrame, got \w+; write"):
+            event_from_frame(other, DESCRIPTION, CASSINI)  # type: ignore[arg-type]
+    frame = own.astype({"rwa1_rpm": object})
+    frame.loc[5, "rwa1_rpm"] = "bad"
+    with pytest.raises(
+        InputError, match=r"row 6, column rwa1_rpm: expected a number, .* got 'bad'"
+    ):
+        load_event(event_from_frame(frame, DESCRIPTION, CASSINI), CASSINI)
+
+
 def test_a_date_of_digits_is_no_number(tmp_path: Path) -> None:
     """20100213 in a column of dates is a day, never a count of seconds."""
     own = own_frame(2)

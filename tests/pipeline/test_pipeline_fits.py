@@ -198,6 +198,14 @@ def test_bad_calls_are_one_line(tmp_path: Path) -> None:
         cb.fit([simulated() / "bias"], priors(), folder=tmp_path / "x")
     with pytest.raises(InputError, match="some of ensembles"):
         cb.fit(simulated() / "bias", PRIORS, sampler={"chains": 4})
+    with pytest.raises(InputError, match="'ensemble'; did you mean 'ensembles'"):
+        cb.fit(simulated() / "bias", PRIORS, sampler={"ensemble": 2})
+    with pytest.raises(InputError, match=r"ensembles: expected a whole number .*'two'"):
+        cb.fit(simulated() / "bias", PRIORS, sampler={"ensembles": "two"})
+    for call in (cb.fit, cb.diagnose):
+        for seed in (-1, 1.5, 2**70):
+            with pytest.raises(InputError, match="seed: expected a whole number from 0"):
+                call(simulated() / "bias", PRIORS, seed=seed)
     with pytest.raises(InputError, match="a run file alone"):
         cb.fit("runs/flight_2009_2010.toml", PRIORS)
     with pytest.raises(InputError, match="expected a priors file, got none"):

@@ -128,7 +128,7 @@ def event_from_frame(
     Raises
     ------
     InputError
-        As :func:`read_event`, or columns of a frame without names.
+        As :func:`read_event`, what is no data frame, or a cell of text among numbers.
     """
     if isinstance(event, Mapping):
         keys, folder = _Keys("event", event), Path()
@@ -149,6 +149,9 @@ def event_from_frame(
 
 
 def _table_of(frame: pd.DataFrame, name: str) -> MemoryTable:
+    if not (hasattr(frame, "columns") and hasattr(frame, "iloc")):
+        got = type(frame).__name__
+        raise InputError(name, "a pandas DataFrame", got, "write pandas.DataFrame(…) around it")
     header = [str(label) for label in frame.columns]
     check_once(name, header)
     columns = {}

@@ -80,6 +80,7 @@ class MemoryTable:
         if place in selection.texts:
             return seconds_of(values, selection.texts[place], where)
         if values.dtype.kind not in "fiub":
+            _check_cells(values, self.name, name)
             dates = values.dtype.kind in "MU"
             raise no_numbers(where, "numbers", dates, values.dtype, "store it as numbers")
         return np.asarray(values, dtype=np.float64)
@@ -94,3 +95,16 @@ class MemoryTable:
                     f"{len(self.columns[name]):,}",
                     "put all on the rows of one time column, NaN where not sampled",
                 )
+
+
+def _check_cells(values: NDArray[Any], table: str, column: str) -> None:
+    """Refuse text in a column of objects with its row: one such cell makes a column one of them."""
+    texts = (i for i, value in enumerate(values.tolist()) if isinstance(value, str))
+    row = next(texts, None) if values.dtype.kind == "O" else None
+    if row is not None:
+        raise InputError(
+            f"{table}: row {row + 1}, column {column}",
+            "a number, or NaN where nothing was sampled",
+            repr(values[row])[:60],
+            "correct it, then store the column as numbers: pandas.to_numeric",
+        )
