@@ -78,7 +78,10 @@ def smoothed_weights(log_ratio: Array) -> Weights:
     if np.ptp(kept) < _ALL_ALIKE:
         smoothed, k = np.zeros(len(kept)), 0.0
     else:
-        smoothed, shape = arviz().psislw(kept - kept.max())
+        # 1 / Σ exp(ΔL) of ArviZ's fit overflows where a trial of it is far from the best: 1/inf is
+        # its weight, zero
+        with np.errstate(over="ignore"):
+            smoothed, shape = arviz().psislw(kept - kept.max())
         k = float(shape)
     values = np.zeros(len(log_ratio))
     values[inside] = np.exp(smoothed - logsumexp(smoothed))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -63,6 +65,16 @@ def test_degenerate_weights() -> None:
     assert np.isnan(nothing.values).all()
     some = np.where(np.arange(400) < 300, 0.0, -np.inf)
     assert smoothed_weights(some).values[300:].max() == 0.0
+
+
+def test_weights_come_without_a_warning_of_the_library() -> None:
+    """Ratios that crowd at their upper end: ArviZ's fit overflows in trials of weight zero."""
+    ratio = -0.1 * np.random.default_rng(0).chisquare(0.5, size=20_000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        weights = smoothed_weights(ratio)
+    assert weights.trusted
+    assert weights.values == pytest.approx(np.exp(ratio) / np.exp(ratio).sum(), rel=1e-3)
 
 
 def test_few_effective_draws_are_not_trusted() -> None:
