@@ -212,14 +212,19 @@ class Priors:
     def scaled(self, names: Iterable[str], width: float = 1.0, shift: float = 0.0) -> Priors:
         """New priors with the free ones of ``names`` widened and shifted.
 
-        See :meth:`Distribution.scaled`; fixed parameters stay as they are.
+        See :meth:`Distribution.scaled`; fixed parameters stay as they are. What is never negative
+        (a length of time, a noise, a moment of inertia) ends at 0.
         """
         changed = self
         for name in names:
             self.require([name], "a scaled prior")
             distribution = self.parameters[name].distribution
             if distribution is not None:
-                changed = changed.with_distribution(name, distribution.scaled(width, shift))
+                scaled = distribution.scaled(width, shift)
+                ends_at_0 = _never_negative(self.parameters[name].spec)
+                if ends_at_0 and distribution.support[0] >= 0.0 > scaled.support[0]:
+                    scaled = replace(scaled, low=0.0)
+                changed = changed.with_distribution(name, scaled)
         return changed
 
     def _with(self, name: str, distribution: Distribution | None, fixed: float | None) -> Priors:

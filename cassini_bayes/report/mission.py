@@ -14,6 +14,7 @@ from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.results.mission.fitting import MissionFit, describe
 from cassini_bayes.results.mission.trend import Trend, proportional_odds
 
+ONSET_SHOWN: Final = 0.02  # probability of a loss, below which its onset is nobody's question
 DECISIVE: Final = 3.0
 """Nats from which odds decide, some 20 to 1."""
 
@@ -126,7 +127,7 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
             "P(loss)": lambda row: flagged(f"{row['failing']:.3f}", row["alarm"]),
             "onset (90 %)": lambda row: (
                 Cell(f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})", "wrap")
-                if row["failing"] > mission.trend.degraded[0]
+                if row["failing"] > ONSET_SHOWN
                 else Cell("–", "muted")
             ),
             "one more bias [nats]": lambda row: f"{row['next_bias_nats']:.1f}",

@@ -159,11 +159,17 @@ def reweighted(
 def log_prior_ratio(
     before: Priors, after: Priors, names: Iterable[str], draws: Mapping[str, Array], n: int
 ) -> Array:
-    """log p'(θ) − log p(θ) of draws (n,) of named parameters whose priors were changed."""
+    """log p'(θ) − log p(θ) of draws (n,) of named parameters whose priors were changed.
+
+    −∞ of all draws where a changed prior reaches beyond the old one: no draw is there, and no
+    weight can tell of it (of a uniform prior that is widened all weights are alike).
+    """
     log_ratio = np.zeros(n)
     for name in names:
         old, new = before.parameters[name].distribution, after.parameters[name].distribution
         if old is not None and new is not None:
+            if not old.covers(new):
+                return np.full(n, -np.inf)
             log_ratio = log_ratio + new.log_density(draws[name]) - old.log_density(draws[name])
     return log_ratio
 

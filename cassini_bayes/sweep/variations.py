@@ -79,12 +79,17 @@ class Variation:
 
 
 def with_family(distribution: Distribution, family: str) -> Distribution:
-    """The same centre, spread and bounds in another family.
+    """The same centre, spread and bounds in another family; itself where it is of that family.
+
+    Bounds are the ends of what it is defined on, where these are finite: a uniform becomes a normal
+    between its ends, a half-normal one above its edge.
 
     The standard deviation before any truncation stays. ``student-t`` has five degrees of freedom. A
     log-normal changes in the logarithm: its normal is itself, its Student-t the log-logistic (a
     logistic is close to a Student-t of nine degrees of freedom), its uniform the log-uniform.
     """
+    if (distribution.name, family) in (("norm", "normal"), ("uniform", "uniform")):
+        return distribution
     low, high = distribution.low, distribution.high
     if distribution.name == "lognorm" and distribution.loc == 0.0:
         s, median = distribution.keywords["s"], distribution.scale
@@ -95,6 +100,7 @@ def with_family(distribution: Distribution, family: str) -> Distribution:
             return Distribution("fisk", shape, low, high)
         reach = math.exp(math.sqrt(3.0) * s)
         return Distribution("loguniform", {"a": median / reach, "b": median * reach}, low, high)
+    low, high = (end if math.isfinite(end) else None for end in distribution.support)
     whole = Distribution(distribution.name, distribution.keywords)
     mean, sd = whole.mean(), whole.sd()
     if family == "normal":

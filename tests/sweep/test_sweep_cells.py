@@ -14,7 +14,13 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.results.record import Fit
-from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
+from cassini_bayes.sweep.cells import (
+    BY_CHAIN,
+    REFITTED,
+    REWEIGHTED,
+    cell_arrays,
+    log_prior_ratio,
+)
 from cassini_bayes.sweep.models import Factory, chosen_names
 from cassini_bayes.sweep.plan import plan
 from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
@@ -256,3 +262,39 @@ def test_families_keep_centre_spread_and_bounds(family: str) -> None:
     logs = np.log(skew.sample(np.random.default_rng(1), 40_000))
     assert logs.mean() == pytest.approx(np.log(4e-5), abs=0.015)
     assert logs.std() == pytest.approx(0.5, rel=0.03)
+
+
+def test_families_end_where_the_distribution_does() -> None:
+    """A uniform becomes a normal between its ends; in its own family a prior stays what it is."""
+    share = Distribution("uniform", {"loc": 0.0, "scale": 0.6})
+    for family in ("normal", "student-t"):
+        assert with_family(share, family).support == pytest.approx((0.0, 0.6))
+        assert with_family(share, family).mean() == pytest.approx(0.3)
+    assert with_family(Distribution("halfnorm", {"scale": 0.1}), "normal").support[0] == 0.0
+    assert with_family(share, "uniform") is share
+
+
+def test_draws_do_not_tell_of_values_that_their_prior_excludes() -> None:
+    """A uniform prior that is widened or moved weighs all draws alike, and is fitted anew.
+
+    The weights had k̂ = 0 and no Monte Carlo error; the true shift was half a standard deviation.
+    Negative control: made narrower it needs no fit.
+    """
+    wide = toy_baseline()
+    priors = wide.factory.priors
+    for name in TOY_NAMES:
+        centre = priors.means()[name]
+        flat = Distribution("uniform", {"loc": centre - 0.05, "scale": 0.1})
+        priors = priors.with_distribution(name, flat)
+    draws = {name: np.random.default_rng(2).uniform(-0.04, 0.04, 500) for name in TOY_NAMES}
+    for variation, told in (
+        (Variation(CENTRE, "width", TOY_NAMES, amount=2.0), False),
+        (Variation(CENTRE, "shift", TOY_NAMES[:1], amount=1.0), False),
+        (Variation(CENTRE, "family", TOY_NAMES, family="student-t"), True),
+        (Variation(CENTRE, "width", TOY_NAMES, amount=0.9), True),
+    ):
+        at = {name: priors.means()[name] + draw for name, draw in draws.items()}
+        after = variation.applied(priors)
+        weights = smoothed_weights(log_prior_ratio(priors, after, variation.parameters, at, 500))
+        assert np.isfinite(weights.pareto_k) == told
+        assert weights.trusted <= told

@@ -12,6 +12,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.model.mission.mission_file import (
     Epoch,
     MissionTable,
@@ -89,7 +90,7 @@ def circumstances_of(
     ------
     InputError
         Events out of order, of a branch that a swap had put out of use, or without a pressure; a
-        pressure that looks like psia.
+        pressure that looks like psia; a forecast for a branch without events, or before its last.
     """
     for before, after in pairwise(events):
         if after.epoch < before.epoch:
@@ -101,6 +102,7 @@ def circumstances_of(
             )
     for event in events:
         _require_branch(mission, event, where)
+    _check_forecasts(mission, events, where)
     start = mission.trend.reference_epoch
     used = np.array([_used_kg(mission, event.epoch) for event in events])
     facts = [utc(fact.epoch) for fact in mission.dated]
@@ -173,6 +175,22 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
             f"branch {event.branch} on {event.epoch.date()}",
             "mend the branch or the date, or add the swap back",
         )
+
+
+def _check_forecasts(mission: MissionTable, events: Sequence[EventFacts], where: str) -> None:
+    """Refuse forecasts of what no event tells: losses are those after the last event."""
+    last = {event.branch: event.epoch for event in events}
+    for i, asked in enumerate(mission.trend.forecast, start=1):
+        place = f"{where}: trend.forecast[{i}]"
+        check_known(f"{place}.branch", asked.branch, sorted(last), "a branch of the events")
+        if utc(asked.epoch) < last[asked.branch]:
+            raise InputError(
+                f"{place}.epoch",
+                f"a date after the last event of branch {asked.branch}, "
+                f"{last[asked.branch].date()}",
+                str(asked.epoch),
+                "what was before is in the tables of the events",
+            )
 
 
 def _between_readings(

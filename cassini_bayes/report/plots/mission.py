@@ -107,7 +107,8 @@ def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Fig
         )
         symbols(right, when[part["event"]], part["probability"], *look, label=label)
     right.set_ylabel("probability of the onset, if it fails")
-    right.set_ylim(0.0, 1.15 * right.dataLim.y1)
+    if np.isfinite(right.dataLim.y1):  # a single event has no onset
+        right.set_ylim(0.0, 1.15 * right.dataLim.y1)
     right.tick_params(axis="x", labelrotation=35)
     right.legend(loc="best")
     branch = own["branch"].iloc[0]

@@ -90,7 +90,7 @@ def trend_of(
     draws = draw_branches(fit, rng)
     branches = draws.branches
     return Trend(
-        thrust=thrust_table(fit, branches, on_time_s),
+        thrust=thrust_table(fit, mission, branches, on_time_s),
         health=health_table(fit, mission, branches),
         onsets=onset_table(fit, branches),
         forecast=forecast_table(fit, mission, branches, rng),
@@ -154,11 +154,16 @@ def proportional_odds(model: MissionModel, z: Array) -> float | None:
 
 
 def thrust_table(
-    fit: MissionFit, draws: Mapping[str, BranchDraws], on_time_s: Mapping[str, Array]
+    fit: MissionFit,
+    mission: MissionTable,
+    draws: Mapping[str, BranchDraws],
+    on_time_s: Mapping[str, Array],
 ) -> pd.DataFrame:
     """Thrust of every thruster in every event, as flown and at the reference pressure, N."""
     circumstances = fit.model.circumstances
     pressures = circumstances.tank.pressures_kpa(np.ones(1))[0]
+    if mission.pressure is None:
+        pressures = np.full(len(pressures), np.nan)
     rows = []
     for branch, branch_draws in draws.items():
         for e, place in enumerate(branch_draws.thrusts.events):
@@ -257,8 +262,6 @@ def forecast_table(
     """Thrust of every thruster at the dates and pressures that the mission file asks for, N."""
     rows = []
     for asked in mission.trend.forecast:
-        if asked.branch not in draws:
-            continue
         thrust = forecast(fit, mission, draws[asked.branch], asked, rng)
         names = draws[asked.branch].thrusts.thrusters
         for name, values in zip((*names, "mean"), (*thrust.T, thrust.mean(1)), strict=True):

@@ -113,6 +113,27 @@ def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], messag
         mission_table(**change)
 
 
+def test_forecasts_that_no_event_tells_of_are_refused() -> None:
+    """A branch without events was left out in silence; a date before them had all later losses."""
+    events = [fact("a", utc(2005, 3, 1)), fact("b", utc(2009, 9, 1), branch="B")]
+    for epoch, branch, message in (
+        (utc(2012, 1, 1), "C", r"forecast\[1\].branch: expected a branch of the events"),
+        (utc(2008, 1, 1), "B", r"forecast\[1\].epoch: expected a date after the last event"),
+    ):
+        asked = [{"epoch": epoch, "branch": branch, "pressure_kpa": 2000.0}]
+        trend = {"reference_epoch": utc(2005, 1, 1), "forecast": asked}
+        with pytest.raises(InputError, match=message):
+            circumstances_of(mission_table(trend=trend), events, "mission.toml")
+
+
+def test_one_date_changes_a_parameter_once() -> None:
+    """Two facts of one date had one name: the last change was counted twice, the first lost."""
+    change = {"cm_y_m": {"loc": 0.005, "scale": 0.0, "unit": "m", "source": "made up"}}
+    given = {"epoch": utc(2009, 10, 1), "what": "separation", "source": "x", "change": change}
+    with pytest.raises(InputError, match=r"dated\[2\].change.cm_y_m: expected one change"):
+        mission_of(mixed_events(), mission_table(dated=[given, given]))
+
+
 def test_readings_out_of_order_are_refused() -> None:
     """The place in the list is named."""
     readings = [
