@@ -349,7 +349,7 @@ def reduce_event(
         nominal_values(priors),
         fires=bool(event.thrusters),
     )
-    search = CellSearch(nominal, event.wheels) if policy.leave_out else None
+    search = CellSearch(nominal) if policy.leave_out else None
     rows = EventRows(event, priors.spacecraft, search)
     likely = sampling_of(priors, event.thrusters, last_time(event), pulse_shape)
     looked = PreparedRows(rows, likely.control_cycle_s, likely.guard_s)

@@ -258,7 +258,7 @@ def test_messages_name_the_wheels_as_the_spacecraft_file_does(honest: dict[str, 
     assert "rwa" not in said
     cell = chunk.wheel_rpm.copy()
     cell[40, 0] += 300.0
-    search = CellSearch(evidence.nominal, event.wheels)
+    search = CellSearch(evidence.nominal)
     assert [bad.column for bad in search.find(replace(chunk, wheel_rpm=cell))] == ["w1_rpm"]
 
 
@@ -700,7 +700,7 @@ def test_firings_to_and_fro_between_two_readings_are_no_bad_cell(honest: dict[st
         on_time[~read] = np.nan
         pulses = np.where(read[:, None], chunk.pulses, np.nan)
         given = replace(chunk, rate_rad_s=rate, on_time_s=on_time, pulses=pulses)
-        return len(CellSearch(nominal, event.wheels).find(given))
+        return len(CellSearch(nominal).find(given))
 
     assert found(0.0) > found(1.0) == 0
 

@@ -56,7 +56,6 @@ class CellSearch:
     """What the search knows of an event."""
 
     nominal: Nominal
-    wheels: tuple[int, ...]
 
     def find(self, chunk: Chunk) -> list[BadCell]:
         """Bad cells of a chunk's wheel and body rates."""

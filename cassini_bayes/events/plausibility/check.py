@@ -96,7 +96,7 @@ class TelemetryCheck:
         self._rows = RowCollector()
         self._pulses = PulseSteps()
         self._on_times = OnTimeSteps(len(event.thrusters))
-        self._search = CellSearch(self._nominal, event.wheels)
+        self._search = CellSearch(self._nominal)
         self._cells: list[BadCell] = []
         self._content = hashlib.sha256()
 
