@@ -246,11 +246,11 @@ def _computed(
         return None
     directions = thruster_directions(learned.model.spacecraft, learned.model.branch)
     software = learned.physics.software
-    normals = rng.standard_normal((learned.size, 4))
+    normals = rng.standard_normal((learned.size, 5))  # thrust over mass, along it, and X, Y, Z
     scatter = learned.acceleration.scatter * normals[:, 0]
     acceleration = learned.acceleration.at(epoch) + scatter
     noise = np.asarray(learned.physics.parameters["delta_v_noise_m_s"]) * normals[:, 1]
-    lateral = np.sqrt(learned.lateral_square)[:, None] * normals[:, 1:]
+    lateral = np.sqrt(learned.lateral_square)[:, None] * normals[:, 2:]
     if still:
         software = np.broadcast_to(software.mean(0), software.shape)
         acceleration = np.full_like(acceleration, acceleration.mean())

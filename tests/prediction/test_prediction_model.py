@@ -368,6 +368,15 @@ def test_holding_a_source_takes_spread_away() -> None:
     assert spread(one(frozenset(SOURCES))) < 0.2 * full
 
 
+def test_printed_delta_v_scatters_across_and_along_the_thrust_independently() -> None:
+    """With only the on-board ΔV drawn, its components go their own ways: no correlation in 400."""
+    (others,) = (frozenset(SOURCES) - {source} for source in SOURCES if source == "on-board ΔV")
+    drawn = one(others).delta_v_computed_m_s
+    assert drawn is not None
+    correlation = np.corrcoef(drawn.T)
+    assert np.abs(correlation[~np.eye(3, dtype=bool)]).max() < 4.0 / np.sqrt(SIZE)
+
+
 def test_a_larger_bias_takes_more_of_everything() -> None:
     """Twice the wheel change: more on-time, hydrazine, ΔV and duration."""
     small = one(text="rwa1: -600 -> 0")
