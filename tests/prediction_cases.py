@@ -11,7 +11,7 @@ import tomli_w
 from totals_cases import B_BRANCH, FLIGHT, flight
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.totals import TotalsEvent
+from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model import Model, build_model, draw
 from cassini_bayes.model.totals import software_of
@@ -19,7 +19,8 @@ from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
 from cassini_bayes.prediction.physics import Physics
-from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.results.fitting import ALL_MET
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import save_fit
 
@@ -70,16 +71,20 @@ def folds() -> tuple[HeldOut, ...]:
     return tuple(fold(events, row, priors, beliefs(), 5, SIZE) for row in range(3))
 
 
-def write_run_folder(folder: Path) -> Path:
-    """A run folder with a small fit of the eight events; returns the path of ``fit.nc``."""
+def write_run_folder(
+    folder: Path, table: Path = FLIGHT, priors: Path = B_BRANCH, stop_rule: str = ALL_MET
+) -> Path:
+    """A run folder with a small fit of a table's events; returns the path of ``fit.nc``."""
     rng = np.random.default_rng(6)
-    z = 0.3 * rng.standard_normal((1, SIZE, len(model().space.names)))
-    fit = build_fit(model(), z, np.zeros((1, SIZE)), rng, {"seed": 6}, 50)
+    read = read_priors(priors)
+    own = build_model(read_totals(table, read.spacecraft), read)
+    z = 0.3 * rng.standard_normal((1, SIZE, len(own.space.names)))
+    fit = build_fit(own, z, np.zeros((1, SIZE)), rng, {"seed": 6, "stop_rule": stop_rule}, 50)
     run = folder / "small"
     run.mkdir(parents=True)
     save_fit(fit, run / "fit.nc")
-    table = {"events": [str(FLIGHT)], "source": "flight", "priors": str(B_BRANCH), "model": {}}
-    (run / "resolved.toml").write_text(tomli_w.dumps(table))
-    digests = ", ".join(f'"{path}": "{digest(path)}"' for path in (FLIGHT, B_BRANCH))
+    said = {"events": [str(table)], "source": "flight", "priors": str(priors), "model": {}}
+    (run / "resolved.toml").write_text(tomli_w.dumps(said))
+    digests = ", ".join(f'"{path}": "{digest(path)}"' for path in (table, priors))
     (run / "provenance.json").write_text('{"sha256": {' + digests + "}}")
     return run / "fit.nc"

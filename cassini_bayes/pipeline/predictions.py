@@ -418,7 +418,7 @@ def _requests(
     )
     first = min(event.epoch for event in sources.events)
     for request in filled:
-        check_request(request, spacecraft, sources.model.branch, sources.priors.wheels, first)
+        check_request(request, spacecraft, sources.model.branch, sources.wheels, first)
     return filled
 
 
@@ -430,10 +430,10 @@ def _start(sources: Sources, text: str | None) -> tuple[tuple[int, ...], list[fl
     rates = parse_rates(text, sources.model.spacecraft, "--from")
     wheels = tuple(sorted(rates))
     for number in wheels:
-        if number not in sources.priors.wheels:
+        if number not in sources.wheels:
             raise InputError(
                 "--from",
-                f"prime wheels {', '.join(map(str, sources.priors.wheels))}",
+                f"prime wheels {', '.join(map(str, sources.wheels))}",
                 f"wheel {number}",
                 "drop it, or plan with a fit in which it is prime",
             )

@@ -188,9 +188,9 @@ def check_request(
 ) -> None:
     """Refuse what cannot be flown or predicted with this fit.
 
-    ``prime`` are the wheels that the fit knows. Rates beyond ±2000 rev/min, an unknown or another
-    branch, a wheel that is not prime, and an epoch before the fit's first event are refused; ends
-    inside the low-rpm zone are allowed here (``plan`` avoids them).
+    ``prime`` are the wheels that events of the fit turned. Rates beyond ±2000 rev/min, an unknown
+    or another branch, a wheel that is not prime, and an epoch before the fit's first event are
+    refused; ends inside the low-rpm zone are allowed here (``plan`` avoids them).
     """
     where = f"bias {request.id}"
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}

@@ -54,6 +54,11 @@ class Sources:
     model: Model
     within: tuple[str, ...] = ()
 
+    @property
+    def wheels(self) -> tuple[int, ...]:
+        """Wheels that were prime in an event: of others nothing was learned, not even a ramp."""
+        return tuple(sorted({number for event in self.events for number in event.wheels}))
+
 
 def read_sources(
     fit: Path,

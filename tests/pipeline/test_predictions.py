@@ -1,0 +1,25 @@
+"""Predictions and plans from a fit: what a fit cannot answer is refused, what is doubtful said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from prediction_cases import write_run_folder
+from totals_cases import B_BRANCH
+
+import cassini_bayes as cb
+from cassini_bayes.errors import InputError
+
+
+def test_a_wheel_that_no_event_turned_is_refused(tmp_path: Path) -> None:
+    """Priors may list wheel 3: its ramp was never seen, so that neither verb takes it."""
+    priors = tmp_path / "four.toml"
+    text = B_BRANCH.read_text(encoding="utf-8")
+    assert "wheels = [1, 2, 4]" in text
+    priors.write_text(text.replace("wheels = [1, 2, 4]", "wheels = [1, 2, 3, 4]"), "utf-8")
+    fit = write_run_folder(tmp_path, priors=priors)
+    with pytest.raises(InputError, match="prime wheels rwa1, rwa2, rwa4"):
+        cb.predict(fit, "rwa1: 0 -> 500, rwa3: 0 -> 500")
+    with pytest.raises(InputError, match="prime wheels 1, 2, 4, got wheel 3"):
+        cb.plan(fit, "thrust_mean_n", start="rwa1: 400, rwa3: 500", levels=1)
