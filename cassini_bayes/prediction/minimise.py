@@ -23,7 +23,13 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.prediction.learning import Learned
-from cassini_bayes.prediction.planning import expected_on_times, typical
+from cassini_bayes.prediction.planning import (
+    expected_on_times,
+    grams_or_none,
+    grams_shown,
+    need_hydrazine,
+    typical,
+)
 from cassini_bayes.prediction.predict import Prediction, predict
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import rates_rpm
@@ -40,7 +46,8 @@ class Cost:
     """What a bias is expected to take.
 
     ``ring_s`` are the seconds of the four thrusters that the two ring axes share (Z on Cassini),
-    summed; ``low_rpm_s`` the time that any wheel spends in the low-rpm zone.
+    summed; ``low_rpm_s`` the time that any wheel spends in the low-rpm zone; ``hydrazine_g`` is
+    not a number where no event of the fit printed any.
     """
 
     on_time_s: Array  # (K,)
@@ -101,10 +108,12 @@ def cheapest_bias(
     Raises
     ------
     InputError
-        An unknown objective; no wheel wanted or all of them; a rate beyond the limits, or a wanted
-        one in the low-rpm zone.
+        An unknown objective, or hydrazine where no event printed any; no wheel wanted or all of
+        them; a rate beyond the limits, or a wanted one in the low-rpm zone.
     """
     check_known("--minimise", objective, OBJECTIVES)
+    if objective == "hydrazine":
+        need_hydrazine(learned, f"--minimise {objective}", "minimise z_throughput")
     start = np.asarray(start_rpm, dtype=np.float64)
     _check_rates(wheels, start, wanted_rpm)
     one = typical(learned)
@@ -254,7 +263,7 @@ def _entry(choice: Choice) -> dict[str, Any]:
     return {
         "to_rpm": [round(rate, 1) for rate in choice.end_rpm],
         "z_throughput_s": cost.ring_s,
-        "hydrazine_g": cost.hydrazine_g,
+        "hydrazine_g": grams_or_none(cost.hydrazine_g),
         "duration_s": cost.duration_s,
         "low_rpm_s": cost.low_rpm_s,
     }
@@ -281,8 +290,8 @@ def cheapest_text(found: CheapestBias, throughput: Sequence[Throughput]) -> str:
         ends = "  ".join(f"{rate:7.0f}" for rate in choice.end_rpm)
         cost = choice.cost
         lines.append(
-            f"{ends}  {cost.ring_s:7.2f}  {cost.hydrazine_g:7.1f}  {cost.duration_s:6.0f}"
-            f"  {cost.low_rpm_s:6.0f}"
+            f"{ends}  {cost.ring_s:7.2f}  {grams_shown(cost.hydrazine_g):>7}"
+            f"  {cost.duration_s:6.0f}  {cost.low_rpm_s:6.0f}"
         )
     lines += ["", "on-times of the first [s]: mean, 90 % interval"]
     for name, draws in _on_times(found):

@@ -156,10 +156,8 @@ def plan(
     draws = quantity_draws(learned, quantity)
     start = np.asarray(start_rpm, dtype=np.float64)
     check_rates("--from", start)
-    if budget_g is not None and learned.hydrazine is None:
-        raise InputError(
-            "--budget", "a fit whose events print hydrazine", "one without", "leave it out"
-        )
+    if budget_g is not None:
+        need_hydrazine(learned, "--budget", "leave it out")
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
     candidates = (
@@ -183,6 +181,18 @@ def plan(
         wheels,
         tuple(result),
     )
+
+
+def need_hydrazine(learned: Learned, where: str, fix: str) -> None:
+    """Refuse an option that weighs grams, where no event of the fit printed any.
+
+    Raises
+    ------
+    InputError
+        The fit has learned nothing of hydrazine; ``where`` is the option, ``fix`` what to change.
+    """
+    if learned.hydrazine is None:
+        raise InputError(where, "a fit whose events print hydrazine", "one without", fix)
 
 
 def typical(learned: Learned) -> Learned:
@@ -324,7 +334,7 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
         "to_rpm": list(candidate.end_rpm),
         "information_nats": candidate.information_nats,
         "sd_after": candidate.sd_after,
-        "hydrazine_g": candidate.hydrazine_g if math.isfinite(candidate.hydrazine_g) else None,
+        "hydrazine_g": grams_or_none(candidate.hydrazine_g),
         "duration_s": candidate.duration_s,
     }
 
@@ -361,11 +371,17 @@ def plan_text(found: Plan, top: int) -> str:
         ]
         lines += [
             f"{'  '.join(f'{rate:7.0f}' for rate in c.end_rpm)}  {c.information_nats:8.4f}"
-            f"  {c.sd_after:10.4g}  {_grams_shown(c):>7}  {c.duration_s:6.0f}"
+            f"  {c.sd_after:10.4g}  {grams_shown(c.hydrazine_g):>7}  {c.duration_s:6.0f}"
             for c in chosen
         ]
     return "\n".join(lines)
 
 
-def _grams_shown(candidate: Candidate) -> str:
-    return f"{candidate.hydrazine_g:.1f}" if math.isfinite(candidate.hydrazine_g) else "–"
+def grams_or_none(hydrazine_g: float) -> float | None:
+    """Grams for a record; None where the fit says nothing of them."""
+    return hydrazine_g if math.isfinite(hydrazine_g) else None
+
+
+def grams_shown(hydrazine_g: float) -> str:
+    """Grams for a table; a dash where the fit says nothing of them."""
+    return f"{hydrazine_g:.1f}" if math.isfinite(hydrazine_g) else "–"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -126,6 +127,21 @@ def test_bad_requests_get_one_line(
         cheapest_bias(learned(), objective, WHEELS, start, wanted, np.random.default_rng(1))
     assert words in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_a_fit_without_hydrazine_spares_thrusters_only() -> None:
+    """Grams that no event printed cannot be made least; beside the Z thrusters they stay open."""
+    dry = replace(learned(), hydrazine=None)
+    given = (WHEELS, START, WANTED)
+    with pytest.raises(InputError, match="--minimise hydrazine: expected a fit whose events"):
+        cheapest_bias(dry, "hydrazine", *given, np.random.default_rng(1))
+    best = cheapest_bias(dry, "z_throughput", *given, np.random.default_rng(1))
+    record = cheapest_dictionary(best, ())
+    assert [choice["hydrazine_g"] for choice in record["choices"]] == [None] * 4
+    json.dumps(record, allow_nan=False)
+    text = cheapest_text(best, ())
+    assert "nan" not in text
+    assert text.count("–") == 4
 
 
 def test_a_limit_of_nothing_is_refused() -> None:
