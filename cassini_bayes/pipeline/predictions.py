@@ -34,6 +34,7 @@ from cassini_bayes.prediction.predict import Prediction
 from cassini_bayes.prediction.predict import predict as predict_one
 from cassini_bayes.prediction.requests import (
     BiasRequest,
+    check_ids,
     check_request,
     parse_bias,
     parse_epoch,
@@ -286,7 +287,8 @@ def predict(
     Raises
     ------
     InputError
-        A fit without wheel biases; files that have moved; an impossible bias.
+        A fit without wheel biases; files that have moved; an impossible bias; an id twice or with
+        characters that no file name should have.
     """
     check_seed(seed)
     began = time.perf_counter()
@@ -405,6 +407,7 @@ def _requests(
         result = read_requests(Path(bias), spacecraft)
     else:
         result = (parse_bias(str(bias), spacecraft),)
+    check_ids(str(bias) if isinstance(bias, str | Path) else "bias", [own.id for own in result])
     when = None if epoch is None else parse_epoch(epoch)
     turned = None if quaternion is None else parse_quaternion(quaternion)
     filled = tuple(

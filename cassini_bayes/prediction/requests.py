@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -22,6 +23,7 @@ WHEEL_LIMIT_RPM: Final = 2000.0
 LOW_RPM: Final = 300.0
 _NUMBER: Final = r"[+-]?\d{1,9}(?:\.\d{0,9})?"
 _PART: Final = re.compile(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*(?:->|→|to)\s*({_NUMBER})\s*$")
+_ID: Final = re.compile(r"\w[\w .+-]{0,59}")
 _FORM: Final = 'write e.g. "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729"'
 
 
@@ -163,6 +165,30 @@ def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]
             request = replace(request, quaternion=parse_quaternion(text, row.where("q1")))
         result.append(request)
     return tuple(result)
+
+
+def check_ids(where: str, ids: Sequence[str]) -> None:
+    """Refuse ids that name no file, or two biases: each is the name of a figure and of a row.
+
+    Raises
+    ------
+    InputError
+        The first such id is named; ``where`` is the file or argument that it came from.
+    """
+    seen: set[str] = set()
+    for name in ids:
+        if not _ID.fullmatch(name):
+            raise InputError(
+                f"{where}: id",
+                "up to 60 letters, digits, spaces or . + - _, the first a letter or digit",
+                repr(name),
+                "rename the bias: its figure has that name",
+            )
+        if name in seen:
+            raise InputError(
+                f"{where}: id", "an id once", f"{name!r} twice", "give every bias an id of its own"
+            )
+        seen.add(name)
 
 
 def check_rates(where: str, rates_rpm: Array) -> None:

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from prediction_cases import write_run_folder
 from totals_cases import B_BRANCH
 
 import cassini_bayes as cb
 from cassini_bayes.errors import InputError
+from cassini_bayes.prediction.requests import BiasRequest
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fit.nc in a run folder that no test changes."""
+    return write_run_folder(tmp_path_factory.mktemp("run"))
 
 
 def test_a_wheel_that_no_event_turned_is_refused(tmp_path: Path) -> None:
@@ -23,3 +31,17 @@ def test_a_wheel_that_no_event_turned_is_refused(tmp_path: Path) -> None:
         cb.predict(fit, "rwa1: 0 -> 500, rwa3: 0 -> 500")
     with pytest.raises(InputError, match="prime wheels 1, 2, 4, got wheel 3"):
         cb.plan(fit, "thrust_mean_n", start="rwa1: 400, rwa3: 500", levels=1)
+
+
+def test_ids_of_biases_are_checked_wherever_they_come_from(fit: Path, tmp_path: Path) -> None:
+    """Rows of a CSV and requests of a program: nothing is predicted, nothing written."""
+    path = tmp_path / "planned.csv"
+    path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\n../../escape,0,500\n")
+    with pytest.raises(InputError, match=r"planned\.csv: id"):
+        cb.predict(fit, path)
+    path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\nsame,0,500\nsame,0,600\n")
+    with pytest.raises(InputError, match="'same' twice"):
+        cb.predict(fit, path)
+    request = BiasRequest("a/b", (1,), np.zeros(1), np.full(1, 500.0))
+    with pytest.raises(InputError, match="bias: id"):
+        cb.predict(fit, request)

@@ -13,6 +13,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.requests import (
     BiasRequest,
+    check_ids,
     check_request,
     parse_bias,
     parse_epoch,
@@ -135,6 +136,20 @@ def test_a_file_of_biases_is_read(tmp_path: Path) -> None:
     path.write_text("id,rwa1_rpm_start,rwa1_rpm_end\nx,,\n")
     with pytest.raises(InputError, match="at least one wheel"):
         read_requests(path, CRAFT)
+
+
+@pytest.mark.parametrize("name", ["../escape", "a/b", "a\\b", ".hidden", "", "a\nb", "x" * 61])
+def test_ids_are_plain_names(name: str) -> None:
+    """An id becomes the name of a figure, so that it leads to no other folder."""
+    with pytest.raises(InputError, match=r"b\.csv: id: expected up to 60 letters"):
+        check_ids("b.csv", ["first", name])
+
+
+def test_ids_are_all_different() -> None:
+    """Two biases of one id would overwrite each other's figure; the dates of events pass."""
+    with pytest.raises(InputError, match="'same' twice"):
+        check_ids("b.csv", ["same", "other", "same"])
+    check_ids("b.csv", ["2009-08-22-bias", "Bias 2.1+x", "übung"])
 
 
 @pytest.mark.parametrize(
