@@ -113,28 +113,41 @@ class Wanted:
         typer.Option("--from", help='Rates before the bias, "rwa1: -526, …" (default: last end).'),
     ] = None
     levels: Annotated[
-        int, typer.Option("--levels", min=1, max=12, help="End rates per wheel and sign.")
-    ] = 5
-    budget: Annotated[
-        float | None, typer.Option("--budget", min=0.0, help="Most hydrazine, g.")
+        int | None,
+        typer.Option(
+            "--levels",
+            min=1,
+            max=12,
+            help="With --quantity: end rates per wheel and sign (default: 5).",
+        ),
     ] = None
-    top: Annotated[int, typer.Option("--top", min=1, help="How many to show.")] = 10
+    budget: Annotated[
+        float | None,
+        typer.Option("--budget", min=0.0, help="With --quantity: most hydrazine, g."),
+    ] = None
+    top: Annotated[
+        int | None,
+        typer.Option("--top", min=1, help="With --quantity: how many to show (default: 10)."),
+    ] = None
 
 
 def plan_command(
     fit: Fit,
     *,
     wanted: Wanted,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder for plan.csv, figure.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for plan.csv and figure, or plan.json of --minimise."),
+    ] = None,
     learning: Learning,
     output: Output,
 ) -> None:
     """Rank wheel biases by what they teach of a quantity, or find the one that costs least."""
-    from cassini_bayes.pipeline.predictions import PlanResult, plan
+    from cassini_bayes.pipeline.predictions import plan
 
     result = plan(fit, **vars(wanted), **learning.arguments)
     warn(result.warnings)
-    if out is not None and isinstance(result, PlanResult):
+    if out is not None:
         result.save(out)
     output.show(lambda: json.dumps(result.as_record()), lambda: repr(result))
 

@@ -56,6 +56,10 @@ from cassini_bayes.results.exchange import draws_as_inference_data
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
+LEVELS: Final = 5
+"""End rates per wheel and sign that a plan tries."""
+TOP: Final = 10
+"""Candidates of a plan that are shown."""
 _SHOWN: Final = 12
 _DRAWN: Final = (
     ("on_time_s", ("thruster",), "s"),
@@ -163,7 +167,7 @@ class PlanResult:
 
     plan: Plan
     learned: Learned
-    top: int = 10
+    top: int = TOP
     warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
 
     def summary(self) -> pd.DataFrame:
@@ -221,6 +225,10 @@ class CheapestResult:
     def as_record(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
         return cheapest_dictionary(self.found, self.throughput)
+
+    def save(self, folder: PathLike) -> None:
+        """Write ``plan.json``: everything as plain JSON types."""
+        write_text(Path(folder) / "plan.json", json.dumps(self.as_record(), indent=1) + "\n")
 
     def __repr__(self) -> str:
         return cheapest_text(self.found, self.throughput)
@@ -310,9 +318,9 @@ def plan(
     to: str | None = None,
     limit: float | None = None,
     start: str | None = None,
-    levels: int = 5,
+    levels: int | None = None,
     budget: float | None = None,
-    top: int = 10,
+    top: int | None = None,
     events: PathLike | None = None,
     priors: PathLike | None = None,
     effect_files: Sequence[PathLike] = (),
@@ -330,18 +338,22 @@ def plan(
         As for :func:`predict`.
     quantity
         ``thrust_level_z1_n``, ``tau_fall_s``, ``cm_x_m`` … (:func:`quantities` lists them).
-    minimise, to, limit
-        Instead of a quantity: ``z_throughput`` or ``hydrazine``; end rates that are given,
-        ``"rwa4: -729"``; most on-time a thruster, s.
+    minimise
+        Instead of a quantity: ``z_throughput`` or ``hydrazine``.
+    to, limit
+        With ``minimise`` only: end rates that are given, ``"rwa4: -729"``; most on-time a
+        thruster, s.
     start
         Rates before the bias, ``"rwa1: -526, …"`` (the last end by default).
     levels, budget, top
-        End rates per wheel and sign; most hydrazine, g; how many to show.
+        With a quantity only: end rates per wheel and sign (5); most hydrazine, g; how many to show
+        (10).
 
     Raises
     ------
     InputError
-        As for :func:`predict`; an unknown quantity; neither or both of quantity and minimise.
+        As for :func:`predict`; an unknown quantity; neither or both of quantity and minimise, or
+        what belongs to the one that was not asked for.
     """
     if (quantity is None) == (minimise is None):
         raise InputError(
@@ -350,18 +362,38 @@ def plan(
             "neither" if quantity is None else "both",
             "write e.g. --quantity thrust_mean_n",
         )
+    if quantity is None:
+        _refuse_idle("--quantity", {"--levels": levels, "--budget": budget, "--top": top})
+    else:
+        _refuse_idle("--minimise", {"--to": to, "--limit": limit})
     sources, draws = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed)
     warnings = doubts(learned, sources.within)
     if quantity is not None:
-        result = planning.plan(learned, quantity, wheels, rates, levels=levels, budget_g=budget)
-        return PlanResult(result, learned, top, warnings)
+        result = planning.plan(
+            learned,
+            quantity,
+            wheels,
+            rates,
+            levels=LEVELS if levels is None else levels,
+            budget_g=budget,
+        )
+        return PlanResult(result, learned, TOP if top is None else top, warnings)
     assert minimise is not None
     wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
     cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
     throughput = accumulated_throughput(sources.events, cheapest.prediction, limit)
     return CheapestResult(cheapest, tuple(throughput), learned, warnings)
+
+
+def _refuse_idle(mode: str, options: Mapping[str, object]) -> None:
+    """Refuse options that only ``mode`` reads, where the other was asked for."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError(
+            given[0], f"{mode} beside it", "a plan of the other kind", f"add {mode}, or drop it"
+        )
 
 
 def _sources(

@@ -72,8 +72,7 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
             raise InputError(where, "wheel: start -> end in rev/min", repr(part.strip()), _FORM)
         name, start, end = result[1], float(result[2]), float(result[3])
         check_known(where, name, names, f"a wheel out of {', '.join(names)}")
-        if names[name] in rates:
-            raise InputError(where, "every wheel once", f"{name} twice", "drop one of the two")
+        _check_once(where, name, names[name] in rates)
         rates[names[name]] = (start, end)
     wheels = tuple(sorted(rates))
     return BiasRequest(
@@ -85,7 +84,7 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
 
 
 def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, float]:
-    """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min."""
+    """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min; each wheel once."""
     names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
     result: dict[int, float] = {}
     for part in text.split(","):
@@ -97,8 +96,15 @@ def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, floa
                 repr(part.strip()),
                 'write e.g. "rwa1: -1118, rwa2: 1290, rwa4: 330"',
             )
+        _check_once(where, match[1], names[match[1]] in result)
         result[names[match[1]]] = float(match[2])
     return result
+
+
+def _check_once(where: str, wheel: str, is_known: bool) -> None:
+    """Refuse a wheel that was given a rate before: no one knows which of the two is meant."""
+    if is_known:
+        raise InputError(where, "every wheel once", f"{wheel} twice", "drop one of the two")
 
 
 def parse_epoch(text: str, where: str = "--epoch") -> datetime:

@@ -106,6 +106,8 @@ def test_bad_epochs_and_rates_are_refused() -> None:
     with pytest.raises(InputError, match="rwa1: -1118"):
         parse_rates("rwa1 = 5", CRAFT, "--from")
     assert parse_rates("rwa1: 5, rwa4: -7", CRAFT, "--from") == {1: 5.0, 4: -7.0}
+    with pytest.raises(InputError, match="--from: expected every wheel once, got rwa1 twice"):
+        parse_rates("rwa1: 500, rwa1: 700", CRAFT, "--from")
 
 
 @pytest.mark.parametrize("rate", ["9" * 100_000, "9" * 100_000 + "x", "1." + "3" * 100_000])

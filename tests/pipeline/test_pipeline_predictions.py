@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,3 +46,21 @@ def test_ids_of_biases_are_checked_wherever_they_come_from(fit: Path, tmp_path: 
     request = BiasRequest("a/b", (1,), np.zeros(1), np.full(1, 500.0))
     with pytest.raises(InputError, match="bias: id"):
         cb.predict(fit, request)
+
+
+@pytest.mark.parametrize(
+    ("idle", "said"),
+    [
+        ({"quantity": "cm_x_m", "to": "rwa4: 700"}, "--to: expected --minimise beside it"),
+        ({"quantity": "cm_x_m", "limit": 80.0}, "--limit: expected --minimise"),
+        ({"minimise": "z_throughput", "budget": 10.0}, "--budget: expected --quantity"),
+        ({"minimise": "z_throughput", "levels": 5}, "--levels: expected --quantity"),
+        ({"minimise": "z_throughput", "top": 1}, "--top: expected --quantity"),
+    ],
+)
+def test_options_of_the_other_kind_of_plan_are_refused(
+    fit: Path, idle: dict[str, Any], said: str
+) -> None:
+    """What would not be read is not accepted in silence, the defaults' own values included."""
+    with pytest.raises(InputError, match=said):
+        cb.plan(fit, **idle)

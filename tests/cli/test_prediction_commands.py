@@ -1,0 +1,34 @@
+"""`predict` and `plan` as commands: what they write, what they say last, how they end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from prediction_cases import write_run_folder
+from run_cases import command
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def fit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """fit.nc in a run folder that no test changes."""
+    return write_run_folder(tmp_path_factory.mktemp("run"))
+
+
+def test_the_cheapest_bias_is_written_too(fit: Path, tmp_path: Path, capsys: Captured) -> None:
+    """``--out`` of ``plan --minimise`` holds what ``--json`` prints."""
+    asked = [
+        "plan",
+        "--fit",
+        str(fit),
+        "--minimise",
+        "z_throughput",
+        "--to",
+        "rwa1: 400, rwa4: 700",
+    ]
+    assert command([*asked, "--json", "--out", str(tmp_path / "out")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8")) == printed
