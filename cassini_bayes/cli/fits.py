@@ -144,12 +144,17 @@ def _finish(outcome: Outcome, plausibility: Plausibility, output: Output) -> NoR
     """
     output.show(lambda: json.dumps(as_record(outcome)), lambda: "\n".join(_lines(outcome)))
     if not outcome.converged:
-        typer.echo(
-            f"not converged: {outcome.folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
-            "raise max_steps under [sampler] in a run file and run it with --force",
-            err=True,
-        )
+        say_not_converged(outcome.folder)
     plausibility.end(outcome.review.warnings, converged=outcome.converged)
+
+
+def say_not_converged(folder: Path) -> None:
+    """Where to see what is missing, and what to do, on standard error."""
+    typer.echo(
+        f"not converged: {folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
+        "raise max_steps under [sampler] in a run file and run it with --force",
+        err=True,
+    )
 
 
 def as_record(outcome: Outcome) -> dict[str, object]:

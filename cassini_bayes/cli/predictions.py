@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cassini_bayes.cli.options import Accept, Effects, Output, Seed, warn
+from cassini_bayes.cli.options import Accept, Effects, Output, Plausibility, Seed
 from cassini_bayes.files.checks import DEFAULT_SEED
 
 if TYPE_CHECKING:
@@ -79,7 +79,6 @@ def predict_command(
         quaternion=quaternion,
         **learning.arguments,
     )
-    warn(result.warnings)
     flown = [_closed_loop(result, weights, simulations) if simulate else {} for weights in result]
     document = result.as_record(flown)
     if out is not None:
@@ -88,6 +87,7 @@ def predict_command(
     output.show(lambda: json.dumps(document), lambda: "\n\n".join(texts))
     if not (output.as_json or output.quiet):
         typer.echo(f"\nanswered in {result.seconds:.2f} s", err=True)
+    Plausibility().end(result.warnings, converged=result.converged)
 
 
 @dataclass(frozen=True)
@@ -146,10 +146,10 @@ def plan_command(
     from cassini_bayes.pipeline.predictions import plan
 
     result = plan(fit, **vars(wanted), **learning.arguments)
-    warn(result.warnings)
     if out is not None:
         result.save(out)
     output.show(lambda: json.dumps(result.as_record()), lambda: repr(result))
+    Plausibility().end(result.warnings, converged=result.converged)
 
 
 def _closed_loop(found: PredictionResult, own: Prediction, simulations: int) -> dict[str, Any]:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cassini_bayes.cli.options import ConsoleReporter, Effects, Quiet
+from cassini_bayes.cli.fits import say_not_converged
+from cassini_bayes.cli.options import ConsoleReporter, Effects, Plausibility, Quiet
 
 
 def report_command(
@@ -23,7 +24,13 @@ def report_command(
     quiet: Quiet = False,
 ) -> None:
     """Write summary, tables, figures and report.html of a finished run or fit."""
-    from cassini_bayes.pipeline.fits import report
+    from cassini_bayes.pipeline.fits import read_fit, report
+    from cassini_bayes.pipeline.run import is_converged
 
-    page = report(fit, out, base=base, effect_files=effects or (), reporter=ConsoleReporter(quiet))
+    result = read_fit(fit, base=base, effect_files=effects or ())
+    page = report(result, out, reporter=ConsoleReporter(quiet))
     typer.echo(str(page))
+    converged = is_converged(result.review)
+    if not converged:
+        say_not_converged(page.parent)
+    Plausibility().end(result.review.warnings, converged=converged)

@@ -36,7 +36,12 @@ from cassini_bayes.report.plots.scalars import headlines, scalar_corner, trace_f
 from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
 from cassini_bayes.results import record
 from cassini_bayes.results.exchange import inference_data
-from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model, fit_warnings
+from cassini_bayes.results.fitting import (
+    convergence_table,
+    fit_model,
+    fit_warnings,
+    stop_rule_held,
+)
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi, summarise
@@ -89,7 +94,7 @@ class FitResult(Fit):
     @property
     def converged(self) -> bool:
         """Whether the stop rule held while sampling."""
-        return self.attributes["stop_rule"] == ALL_MET
+        return stop_rule_held(self)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -508,7 +513,7 @@ def report(
     fit
         A fit, or the folder of a finished run.
     folder
-        Where to write; by default the run's own folder.
+        Where to write; by default the run's own folder. A fit in memory has none.
     base, effect_files
         As for :func:`read_fit`.
     reporter
@@ -523,14 +528,17 @@ def report(
     InputError
         No fit there; its events or priors are not where the run found them.
     """
-    if isinstance(fit, FitResult):
-        if folder is None:
-            raise InputError("folder", "where to write", "nothing", 'add folder="…"')
-        result, target = fit, Path(folder)
+    result = (
+        fit if isinstance(fit, FitResult) else read_fit(fit, base=base, effect_files=effect_files)
+    )
+    if folder is not None:
+        target = Path(folder)
+    elif result.path is not None:
+        target = result.path.parent
     else:
-        result = read_fit(fit, base=base, effect_files=effect_files)
-        place = Path(fit)
-        target = Path(folder) if folder else (place if place.is_dir() else place.parent)
-    review = replace(result.review, what_if=True)
+        raise InputError("folder", "where to write", "nothing", 'add folder="…"')
+    review = result.review
+    if not review.what_if:
+        review = replace(review, what_if=True)
     write_results(review, target, (reporter or Quiet()).log, report=True)
     return target / "report.html"

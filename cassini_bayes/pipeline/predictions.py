@@ -16,6 +16,7 @@ import xarray as xr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import DEFAULT_SEED, check_seed
+from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
@@ -52,6 +53,8 @@ from cassini_bayes.prediction.sources import (
 from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
+from cassini_bayes.results.fitting import fit_warnings, stop_rule_held
+from cassini_bayes.results.record import Fit
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
@@ -86,6 +89,7 @@ class PredictionResult:
     seed: int
     seconds: float
     warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
+    converged: bool = True  # whether the fit had
 
     def __iter__(self) -> Iterator[Prediction]:
         return iter(self.predictions)
@@ -141,7 +145,12 @@ class PredictionResult:
         biases = [as_dictionary(prediction) for prediction in self.predictions]
         for record, more in zip(biases, extra, strict=False):
             record |= more
-        return {"seconds": round(self.seconds, 3), "seed": self.seed, "biases": biases}
+        return {
+            "seconds": round(self.seconds, 3),
+            "seed": self.seed,
+            **_standing(self),
+            "biases": biases,
+        }
 
     def save(self, folder: PathLike, record: Mapping[str, Any] | None = None) -> None:
         """Write ``prediction.json``, ``prediction.csv`` and ``figures/``."""
@@ -169,6 +178,7 @@ class PlanResult:
     learned: Learned
     top: int = TOP
     warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
+    converged: bool = True  # whether the fit had
 
     def summary(self) -> pd.DataFrame:
         """One row per candidate, most informative first: end rates, nats, sd after, cost."""
@@ -195,7 +205,7 @@ class PlanResult:
 
     def as_record(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
-        return plan_dictionary(self.plan, self.top)
+        return _standing(self) | plan_dictionary(self.plan, self.top)
 
     def save(self, folder: PathLike) -> None:
         """Write ``plan.csv`` and its figure."""
@@ -221,10 +231,11 @@ class CheapestResult:
     throughput: tuple[Throughput, ...]
     learned: Learned
     warnings: tuple[str, ...] = ()  # sentences about anything that makes the draws doubtful
+    converged: bool = True  # whether the fit had
 
     def as_record(self) -> dict[str, Any]:
         """Everything as plain JSON types."""
-        return cheapest_dictionary(self.found, self.throughput)
+        return _standing(self) | cheapest_dictionary(self.found, self.throughput)
 
     def save(self, folder: PathLike) -> None:
         """Write ``plan.json``: everything as plain JSON types."""
@@ -234,11 +245,16 @@ class CheapestResult:
         return cheapest_text(self.found, self.throughput)
 
 
-def doubts(learned: Learned, within: Sequence[str]) -> tuple[str, ...]:
-    """Sentences about anything that makes the draws doubtful.
+def _standing(result: PredictionResult | PlanResult | CheapestResult) -> dict[str, Any]:
+    """Whether a result may be used, for its record."""
+    return {"converged": result.converged, "warnings": list(result.warnings)}
+
+
+def doubts(learned: Learned, within: Sequence[str], fit: Fit) -> tuple[str, ...]:
+    """Sentences about anything that makes the draws doubtful, the worst last.
 
     Few effective draws where the weights join physics and firing logic; effects of the fit that act
-    ``within`` an event, which no prediction has.
+    ``within`` an event, which no prediction has; what the fit itself says of its draws.
     """
     said = []
     if learned.effective_draws < FEW_DRAWS:
@@ -250,6 +266,12 @@ def doubts(learned: Learned, within: Sequence[str]) -> tuple[str, ...]:
         said.append(
             f"predicted without {', '.join(within)}, which the fit has: it acts from row to row of "
             "an event, and the totals of a planned one do not have rows"
+        )
+    said += [f"the fit: {sentence}" for sentence in fit_warnings(fit)]
+    if not stop_rule_held(fit):
+        said.append(
+            "NOT CONVERGED: what was predicted is no result yet; raise max_steps under [sampler] "
+            "in the run file of the fit and run it with --force"
         )
     return tuple(said)
 
@@ -300,14 +322,15 @@ def predict(
     """
     check_seed(seed)
     began = time.perf_counter()
-    sources, draws = _sources(fit, events, priors, accept, effect_files)
+    sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)
     learned = learn_from_fit(draws, sources, seed)
     result = tuple(
         predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
     )
-    warnings = doubts(learned, sources.within)
-    return PredictionResult(result, learned, seed, time.perf_counter() - began, warnings)
+    warnings = doubts(learned, sources.within, stored)
+    seconds = time.perf_counter() - began
+    return PredictionResult(result, learned, seed, seconds, warnings, stop_rule_held(stored))
 
 
 def plan(
@@ -366,10 +389,11 @@ def plan(
         _refuse_idle("--quantity", {"--levels": levels, "--budget": budget, "--top": top})
     else:
         _refuse_idle("--minimise", {"--to": to, "--limit": limit})
-    sources, draws = _sources(fit, events, priors, accept, effect_files)
+    sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed)
-    warnings = doubts(learned, sources.within)
+    warnings = doubts(learned, sources.within, stored)
+    converged = stop_rule_held(stored)
     if quantity is not None:
         result = planning.plan(
             learned,
@@ -379,12 +403,12 @@ def plan(
             levels=LEVELS if levels is None else levels,
             budget_g=budget,
         )
-        return PlanResult(result, learned, TOP if top is None else top, warnings)
+        return PlanResult(result, learned, TOP if top is None else top, warnings, converged)
     assert minimise is not None
     wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
     cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
     throughput = accumulated_throughput(sources.events, cheapest.prediction, limit)
-    return CheapestResult(cheapest, tuple(throughput), learned, warnings)
+    return CheapestResult(cheapest, tuple(throughput), learned, warnings, converged)
 
 
 def _refuse_idle(mode: str, options: Mapping[str, object]) -> None:
@@ -402,10 +426,10 @@ def _sources(
     priors: PathLike | None,
     accept: Sequence[str],
     effect_files: Sequence[PathLike],
-) -> tuple[Sources, Path | FitResult]:
-    """What a fit was made of, and where its draws are."""
+) -> tuple[Sources, Path | FitResult, Fit]:
+    """What a fit was made of, where its draws are, and what it says of them."""
     if isinstance(fit, FitResult) and fit.path is None:
-        return sources_of(fit.model), fit
+        return sources_of(fit.model), fit, fit
     path = fit.path if isinstance(fit, FitResult) else Path(fit)
     assert path is not None
     file = path / FIT_FILE if path.is_dir() else path
@@ -418,7 +442,8 @@ def _sources(
         accept=accept,
         effect_files=[Path(item) for item in effect_files],
     )
-    return sources, file
+    stored = Fit(*read_groups(file, {"sample_stats": ()}, "a fit.nc of this package"))
+    return sources, file, stored
 
 
 def _requests(

@@ -30,7 +30,7 @@ from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
-from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
+from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model, stop_rule_held
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import worst_convergence
@@ -246,7 +246,7 @@ def execute(
         what_if=run.output.report,
     )
     review.work_out(cores())
-    converged = _is_converged(review)
+    converged = is_converged(review)
     write_results(review, folder, reporter.log, report=run.output.report)
     seconds = time.monotonic() - began
     reporter.log(f"{'converged' if converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
@@ -275,13 +275,13 @@ def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> No
         write_report(review, sections, pictures, folder / "report.html")
 
 
-def _is_converged(review: Review) -> bool:
+def is_converged(review: Review) -> bool:
     """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
-    attributes = review.fit.attributes
     rhat, bulk, tail = worst_convergence(review.summary)
-    target = float(attributes["target_ess"])
-    done = attributes["stop_rule"] == ALL_MET
-    return bool(done and rhat < MAX_RHAT and bulk >= target and tail >= target)
+    target = float(review.fit.attributes["target_ess"])
+    return bool(
+        stop_rule_held(review.fit) and rhat < MAX_RHAT and bulk >= target and tail >= target
+    )
 
 
 def facts_of(

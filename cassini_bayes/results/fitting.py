@@ -47,6 +47,8 @@ CONVERGENCE: Final = {
 }
 """Column of the table, variable of the record and meaning of the stop rule's figures."""
 ALL_MET: Final = "all criteria met"
+IMPORTANCE_MET: Final = "importance draws: Pareto k below 0.7"
+"""The stop rule of a fit of a mission, which no chain has walked."""
 FALLBACK_INDEPENDENCE: Final = 0.2  # of the moves, where the proposal is poor (judgement)
 
 
@@ -75,13 +77,17 @@ class Sampled:
         return fit_warnings(self.fit)
 
 
+def stop_rule_held(fit: Fit) -> bool:
+    """Whether the stop rule held while sampling; a fit that does not say so has not converged."""
+    return fit.attributes.get("stop_rule") in (ALL_MET, IMPORTANCE_MET)
+
+
 def fit_warnings(fit: Fit) -> list[str]:
     """Sentences about anything that makes the draws or the evidence of a fit doubtful."""
     result, kept = [], fit.attributes
-    if kept["stop_rule"] != ALL_MET:
-        result.append(
-            f"Sampling stopped at its limit before the stop rule held: {kept['stop_rule']}"
-        )
+    if not stop_rule_held(fit):
+        failed = kept.get("stop_rule", "no stop rule is recorded")
+        result.append(f"Sampling stopped at its limit before the stop rule held: {failed}")
     pareto_k = float(kept.get("pareto_k", 0.0))
     if pareto_k > TRUSTED_K:
         result.append(

@@ -32,3 +32,20 @@ def test_the_cheapest_bias_is_written_too(fit: Path, tmp_path: Path, capsys: Cap
     assert command([*asked, "--json", "--out", str(tmp_path / "out")]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8")) == printed
+
+
+@pytest.mark.parametrize(
+    "asked", [["predict", "--bias", "rwa1: 0 -> 500"], ["plan", "--quantity", "cm_x_m"]]
+)
+def test_a_fit_that_has_not_converged_ends_with_1(
+    fit: Path, tmp_path: Path, capsys: Captured, asked: list[str]
+) -> None:
+    """As ``run`` and ``fit`` do, and said last, with ``--quiet`` too; others end with 0."""
+    worse = write_run_folder(tmp_path, stop_rule="R-hat 1.08")
+    capsys.readouterr()
+    assert command([*asked, "--fit", str(fit), "--quiet"]) == 0
+    assert "CONVERGED" not in capsys.readouterr().err
+    assert command([*asked, "--fit", str(worse), "--quiet"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out
+    assert shown.err.splitlines()[-1].startswith("warning: NOT CONVERGED: ")

@@ -220,7 +220,10 @@ def test_the_report_command_goes_on_from_the_stored_draws(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It writes what a run writes, of the same draws, into the run's folder or another."""
+    """It writes what a run writes, of the same draws, into the run's folder or another.
+
+    The few draws have not converged: it says so and ends with 1, as the run did.
+    """
     written: list[tuple[Review, Path]] = []
 
     def write(review: Review, folder: Path, log: object, *, report: bool) -> None:
@@ -229,8 +232,9 @@ def test_the_report_command_goes_on_from_the_stored_draws(
 
     monkeypatch.setattr(fits, "write_results", write)
     run = str(stored.path.parent)
-    assert command(["report", run, "--quiet"]) == 0
-    assert command(["report", run, "--out", str(tmp_path), "--quiet"]) == 0
+    assert command(["report", run, "--quiet"]) == 1
+    assert command(["report", run, "--out", str(tmp_path), "--quiet"]) == 1
+    assert capsys.readouterr().err.count("not converged: ") == 2
     assert [str(folder) for _, folder in written] == [run, str(tmp_path)]
     assert written[0][0].summary.equals(stored.review.summary)
     assert command(["report", str(tmp_path), "--quiet"]) == 2

@@ -64,3 +64,24 @@ def test_options_of_the_other_kind_of_plan_are_refused(
     """What would not be read is not accepted in silence, the defaults' own values included."""
     with pytest.raises(InputError, match=said):
         cb.plan(fit, **idle)
+
+
+def test_a_fit_that_has_not_converged_says_so_of_what_is_made_of_it(
+    fit: Path, tmp_path: Path
+) -> None:
+    """Last of the warnings, with what failed and what to do; a fit that has is not doubted."""
+    worse = write_run_folder(tmp_path, stop_rule="R-hat 1.08")
+    made = (
+        lambda own: cb.predict(own, "rwa1: 0 -> 500"),
+        lambda own: cb.plan(own, "cm_x_m", levels=1),
+        lambda own: cb.plan(own, minimise="z_throughput", to="rwa1: 400, rwa4: 700"),
+    )
+    for make in made:
+        good, bad = make(fit), make(worse)
+        assert good.converged
+        assert not any("fit" in sentence for sentence in good.warnings)
+        assert not bad.converged
+        assert "R-hat 1.08" in bad.warnings[-2]
+        assert bad.warnings[-1].startswith("NOT CONVERGED: ")
+        assert bad.as_record()["warnings"] == list(bad.warnings)
+        assert bad.as_record()["converged"] is False

@@ -19,6 +19,7 @@ from cassini_bayes.model.mission.losses import prior_losses
 from cassini_bayes.model.mission.model import MissionModel, Part
 from cassini_bayes.model.terms import Variable
 from cassini_bayes.model.thrusts import ThrustDraws
+from cassini_bayes.results.fitting import IMPORTANCE_MET
 from cassini_bayes.results.groups import (
     DENSITY,
     DENSITY_MEANING,
@@ -68,7 +69,7 @@ def mission_fit_record(fit: MissionFit, draws: MissionDraws, rng: np.random.Gene
         "log_evidence": fit.log_evidence_total,
         "log_evidence_se": fit.log_evidence_se,
         "pareto_k": fit.pareto_k,
-        "stop_rule": "importance draws: Pareto k below 0.7" if fit.converged else "not converged",
+        "stop_rule": IMPORTANCE_MET if fit.converged else "not converged",
     }
     return Fit(groups, attributes)
 
