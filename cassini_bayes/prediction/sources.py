@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
@@ -28,6 +29,7 @@ from cassini_bayes.model.nominal import check_rows
 from cassini_bayes.model.posterior import Model, build_model
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import read_beliefs
+from cassini_bayes.prediction.demand import pair_layout
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -78,7 +80,8 @@ def read_sources(
     ------
     InputError
         The fit is missing, or its events or priors cannot be found unchanged; an effect of its that
-        no file given has.
+        no file given has; a layout of thrusters that prediction does not know; priors without what
+        the totals of a planned bias need.
     """
     if not exists(fit):
         raise InputError(
@@ -134,7 +137,7 @@ def sources_of(model: Model) -> Sources:
     Raises
     ------
     InputError
-        No wheel bias among its events.
+        No wheel bias among its events; layout or priors as for :func:`read_sources`.
     """
     rows = tuple(row for term in model.totals for row in term.rows)
     recordings = [term.event.recording for term in model.telemetry if term.event.recording]
@@ -168,6 +171,9 @@ def _of_biases(
             f"none of {', '.join(recording.id for recording in recordings)} is one",
             "predict from a fit of wheel biases: they show how thrusters are fired",
         )
+    # first what no file can mend, then at once all that telemetry did not need
+    pair_layout(priors.spacecraft, priors.branch)
+    priors.require(NOISE, "a prediction: put all of them into a copy, and name it with --priors")
     model = build_model(
         result,
         priors,

@@ -134,20 +134,26 @@ class Priors:
         Raises
         ------
         InputError
-            Names the file, the dotted key, who needs it (``why``) and what to add.
+            Names the file, the dotted key, who needs it (``why``) and what to add: the first in
+            full, and all others that are missing with their units.
         """
         specs = known_parameters(self.spacecraft)
-        for name in (name for name in names if name not in self.parameters):
+        missing = [name for name in names if name not in self.parameters]
+        for name in missing:
             where = f"{self.path}: parameters.{name}"
             expected = f"a parameter of {self.spacecraft.name}, asked for by {why}"
             check_known(where, name, specs, expected, f"the unknown name {name!r}")
+        if missing:
+            name, *others = missing
             spec = specs[name]
+            more = ", ".join(f"{other} ({specs[other].unit})" for other in others)
             raise InputError(
-                where,
+                f"{self.path}: parameters.{name}",
                 f"a prior in {spec.unit} ({spec.meaning}), needed by {why}",
                 "no such table",
                 f"add [parameters.{name}] with dist or fixed, unit and source"
-                f" (nearest in the file: {closest(name, self.parameters, 0.0)})",
+                f" (nearest in the file: {closest(name, self.parameters, 0.0)})"
+                + (f"; missing as well: {more}" if more else ""),
             )
 
     def means(self) -> dict[str, float]:
