@@ -276,6 +276,17 @@ def doubts(learned: Learned, within: Sequence[str], fit: Fit) -> tuple[str, ...]
     return tuple(said)
 
 
+def beyond_trend(predictions: Sequence[Prediction], learned: Learned) -> tuple[str, ...]:
+    """A sentence for every bias so far from the events that the trend leaves draws no thrust."""
+    return tuple(
+        f"{own.request.id}: in {100.0 * own.powerless:.2g} % of the draws a thruster has no thrust "
+        f"left on {own.epoch.date()}: the trend of the printed thrust does not reach so far (last "
+        f"event {learned.last_epoch.date()}), and the intervals mean nothing; give an earlier epoch"
+        for own in predictions
+        if own.powerless > 0.0
+    )
+
+
 def predict(
     fit: FitResult | PathLike,
     bias: str | BiasRequest | Iterable[BiasRequest],
@@ -328,7 +339,7 @@ def predict(
     result = tuple(
         predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
     )
-    warnings = doubts(learned, sources.within, stored)
+    warnings = (*beyond_trend(result, learned), *doubts(learned, sources.within, stored))
     seconds = time.perf_counter() - began
     return PredictionResult(result, learned, seed, seconds, warnings, stop_rule_held(stored))
 

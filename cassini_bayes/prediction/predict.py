@@ -49,7 +49,8 @@ class Prediction:
 
     ``delta_v_computed_m_s`` is what the flight software will print, ``delta_v_delivered_m_s`` what
     the thrusters give the spacecraft; both in body axes, None without the ground's mass and thrust.
-    ``hydrazine_g`` is the figure as printed (None where no event had one).
+    ``hydrazine_g`` is the figure as printed (None where no event had one). ``powerless`` is the
+    share of draws in which a thruster has no thrust, or less: the trend led them there.
     """
 
     request: BiasRequest
@@ -63,6 +64,7 @@ class Prediction:
     delta_v_delivered_m_s: Array | None  # (n, 3)
     hydrazine_g: Array | None  # (n,)
     demand_s: Mapping[str, float]  # mean of the features, for the reader
+    powerless: float
 
     def unit_on_time_s(self) -> Array:
         """On-times per printed unit (n, U): a pair of the couple axis counts once."""
@@ -121,6 +123,7 @@ def predict(
         delta_v_delivered_m_s=_delivered(learned, epoch, thrust * effective),
         hydrazine_g=_hydrazine(learned, thrust, effective, streams[6]),
         demand_s={name: float(np.mean(value)) for name, value in vars(features).items()},
+        powerless=float((thrust <= 0.0).any(1).mean()),
     )
 
 

@@ -85,3 +85,18 @@ def test_a_fit_that_has_not_converged_says_so_of_what_is_made_of_it(
         assert bad.warnings[-1].startswith("NOT CONVERGED: ")
         assert bad.as_record()["warnings"] == list(bad.warnings)
         assert bad.as_record()["converged"] is False
+
+
+def test_an_epoch_beyond_the_trend_is_doubted(fit: Path) -> None:
+    """Draws without thrust are counted; a year on there are none, twenty years on there are."""
+    near, far = (
+        cb.predict(fit, "rwa1: 0 -> 500", epoch=own) for own in ("2011-03-01", "2030-03-01")
+    )
+    assert near.predictions[0].powerless == 0.0
+    assert not any("no thrust" in sentence for sentence in near.warnings)
+    share = far.predictions[0].powerless
+    assert 0.0 < share < 1.0
+    assert any(
+        sentence.startswith(f"planned: in {100.0 * share:.2g} % of the draws")
+        for sentence in far.warnings
+    )
