@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 from totals_cases import flight
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model
-from cassini_bayes.results.fitting import Sampled, fit_model
+from cassini_bayes.results.fitting import (
+    ALL_MET,
+    IMPORTANCE_MET,
+    Sampled,
+    fit_model,
+    fit_warnings,
+    stop_rule_held,
+)
+from cassini_bayes.results.record import Fit
 from cassini_bayes.results.tables import summarise
 from cassini_bayes.sampling.ensembles import SamplerSettings, stored_ess
 
@@ -79,3 +88,22 @@ def test_too_few_stored_draws_are_refused() -> None:
     model = build_model(events, priors, delta_v="ignore")
     with pytest.raises(InputError, match="draws_per_ensemble"):
         fit_model(model, SamplerSettings(target_ess=2_000), draws_per_ensemble=500)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "held"),
+    [
+        ({"stop_rule": ALL_MET}, True),
+        ({"stop_rule": IMPORTANCE_MET}, True),
+        ({"stop_rule": "R-hat 1.08"}, False),
+        ({"stop_rule": "not converged"}, False),
+        ({}, False),
+    ],
+)
+def test_only_a_stop_rule_that_held_is_trusted(attributes: dict[str, str], held: bool) -> None:
+    """Of chains and of a mission's importance draws; a file that does not say so is doubted."""
+    fit = Fit({"sample_stats": xr.Dataset()}, attributes)
+    assert stop_rule_held(fit) is held
+    assert [sentence[:16] for sentence in fit_warnings(fit)] == (
+        [] if held else ["Sampling stopped"]
+    )
