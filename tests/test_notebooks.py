@@ -22,7 +22,7 @@ sampler = {"seed": 1, "ensembles": 2, "first_check": 100, "max_steps": 100, "tar
     "from_your_csv": """seed = 1
 settings = {
     "sampler": {
-        "ensembles": 2, "walkers": 64, "first_check": 50, "max_steps": 50, "target_ess": 100,
+        "ensembles": 2, "walkers": 64, "first_check": 100, "max_steps": 100, "target_ess": 100,
     },
     "draws_per_ensemble": 200,
     "prior_draws": 200,
