@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 import xarray as xr
+from scipy.stats import truncnorm
 from totals_cases import flight
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import log_posterior
+from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.groups import build_fit
@@ -102,6 +104,38 @@ def toy_baseline(n: int = 8_000, seed: int = 1) -> Baseline:
         batches=batch_labels(4, n // 4),
         seed=3,
     )
+
+
+def bounded_baseline(n: int = 8_000) -> Baseline:
+    """Exact draws of the toy with a uniform prior of cm_x_m that cuts its posterior off.
+
+    Its likelihood is a normal N(c, s²) of cm_x_m; the prior is uniform from c + s/2 to c + 3s/2.
+    """
+    baseline = toy_baseline(n)
+    centre, width, other = bounded_likelihood(baseline.factory.priors)
+    uniform = Distribution("uniform", {"loc": centre + 0.5 * width, "scale": width})
+    factory = ToyFactory(baseline.factory.priors.with_distribution("cm_x_m", uniform))
+    rng = np.random.default_rng(2)
+    x = truncnorm.rvs(0.5, 1.5, centre, width, size=n, random_state=rng)
+    gain = other.sd() ** 2 / width**2
+    y = other.mean() + gain * (TOY_DATUM - x - other.mean())
+    y = y + np.sqrt(gain) * TOY_NOISE * rng.standard_normal(n)
+    parameters = {"cm_x_m": x, "cm_y_m": y}
+    z = factory.build(factory.priors).space.to_standard(parameters)
+    return replace(
+        baseline,
+        factory=factory,
+        parameters=parameters,
+        values=np.stack([x, y], -1),
+        log_likelihood=factory.build(factory.priors).log_likelihood(z),
+    )
+
+
+def bounded_likelihood(priors: Priors) -> tuple[float, float, Distribution]:
+    """Centre and sd of the toy's likelihood of cm_x_m, and the normal prior of cm_y_m."""
+    other = priors.parameters["cm_y_m"].distribution
+    assert other is not None
+    return TOY_DATUM - other.mean(), float(np.hypot(other.sd(), TOY_NOISE)), other
 
 
 @cache

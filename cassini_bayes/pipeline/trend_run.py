@@ -29,7 +29,7 @@ from cassini_bayes.pipeline.provenance import library_versions
 from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
-from cassini_bayes.results.mission.fitting import MissionFit, fit_mission, loss_prior
+from cassini_bayes.results.mission.fitting import MissionFit, fit_mission
 from cassini_bayes.results.mission.groups import mission_fit_record
 from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend, trend_draws
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
@@ -175,7 +175,7 @@ def _fitted(
         reporter.log("going on from the draws of an earlier trend")
     fit = fit_mission(
         inputs.model,
-        loss_prior(inputs.priors),
+        inputs.losses,
         np.random.default_rng([mission.trend.seed, 0]),
         draws=mission.trend.draws,
         proposals=mission.trend.proposals,

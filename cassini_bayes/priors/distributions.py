@@ -38,7 +38,6 @@ from cassini_bayes.priors.quantiles import (
 LEAST_SCALE: Final = 1e-100
 """Of a width: numbers divided by a smaller one may overflow."""
 _LEAST_MASS: Final = 1e-12
-ROUNDING: Final = 1e-12  # of an end of a support
 _MOMENT_GRID: Final = np.linspace(-20.0, 20.0, 8001)
 
 
@@ -128,14 +127,6 @@ class Distribution:
     def support(self) -> tuple[float, float]:
         """Lower and upper end of the values that have a density."""
         return _support(self.name, self.keywords, self.low, self.high)
-
-    def covers(self, other: Distribution) -> bool:
-        """Whether all values that have a density in another distribution have one in this."""
-        (low, high), (left, right) = self.support, other.support
-        return bool(
-            (left >= low or np.isclose(left, low, rtol=ROUNDING))
-            and (right <= high or np.isclose(right, high, rtol=ROUNDING))
-        )
 
     def quantile_of_standard(self, z: ArrayLike) -> Array:
         """θ = F⁻¹(Φ(z)), elementwise; any shape."""

@@ -218,18 +218,17 @@ class Priors:
     def scaled(self, names: Iterable[str], width: float = 1.0, shift: float = 0.0) -> Priors:
         """New priors with the free ones of ``names`` widened and shifted.
 
-        See :meth:`Distribution.scaled`; fixed parameters stay as they are. What is never negative
-        (a length of time, a noise, a moment of inertia) ends at 0.
+        See :meth:`Distribution.scaled`; fixed parameters stay as they are. A prior that allows no
+        negative values of a parameter that has none allows none afterwards.
         """
         changed = self
         for name in names:
             self.require([name], "a scaled prior")
-            distribution = self.parameters[name].distribution
-            if distribution is not None:
-                scaled = distribution.scaled(width, shift)
-                ends_at_0 = _never_negative(self.parameters[name].spec)
-                if ends_at_0 and distribution.support[0] >= 0.0 > scaled.support[0]:
-                    scaled = replace(scaled, low=0.0)
+            prior = self.parameters[name]
+            if prior.distribution is not None:
+                scaled = prior.distribution.scaled(width, shift)
+                if _never_negative(prior.spec) and prior.distribution.support[0] >= 0.0:
+                    scaled = _without_negative(scaled)
                 changed = changed.with_distribution(name, scaled)
         return changed
 
@@ -465,6 +464,10 @@ def _read_distribution(
 def _never_negative(spec: ParameterSpec) -> bool:
     in_block = spec.block in _NEVER_NEGATIVE_BLOCKS and spec.name not in _BUT_SIGNED
     return in_block or spec.name in _NEVER_NEGATIVE
+
+
+def _without_negative(distribution: Distribution) -> Distribution:
+    return distribution if distribution.support[0] >= 0.0 else replace(distribution, low=0.0)
 
 
 def _check_never_negative(where: str, spec: ParameterSpec, distribution: Distribution) -> None:

@@ -14,10 +14,10 @@ from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.results.mission.fitting import MissionFit, describe
 from cassini_bayes.results.mission.trend import Trend, proportional_odds
 
-ONSET_SHOWN: Final = 0.02  # probability of a loss, below which its onset is nobody's question
 DECISIVE: Final = 3.0
 """Nats from which odds decide, some 20 to 1."""
-
+ONSET_SHOWN: Final = 0.02
+"""Probability of a loss above which the table says when it would have begun."""
 
 CAPTIONS: Final[Mapping[str, str]] = {
     "thrust": "thrust of every thruster in every event, mean and central 90 %, against the date; "

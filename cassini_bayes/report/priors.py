@@ -156,11 +156,12 @@ def _note(review: Review, effect: WidthEffect, i: int) -> str:
     """What the prior then is, and how far the weights can be trusted."""
     k = float(effect.pareto_k[i])
     if not effect.trusted[i]:
-        reason = (
-            f"Pareto k̂ is {k:.2f}, above {TRUSTED_K}"
-            if k > TRUSTED_K
-            else f"they are worth {effect.effective[i]:.0f}, fewer than {FEWEST_DRAWS:.0f}"
-        )
+        if np.isinf(k):
+            reason = "it leaves too few of them, or allows values that the fitted prior did not"
+        elif k > TRUSTED_K:
+            reason = f"Pareto k̂ is {k:.2f}, above {TRUSTED_K}"
+        else:
+            reason = f"they are worth {effect.effective[i]:.0f}, fewer than {FEWEST_DRAWS:.0f}"
         return f"The draws of this fit cannot say: {reason}. cassini-bayes sweep fits it anew"
     names = effect.group.parameters
     was = f"{len(names)} parameters"

@@ -72,8 +72,10 @@ def render_section(
 def strongest_sentence(sweep: pd.DataFrame) -> str:
     """The change of a prior that moves any quantity most."""
     shown = sweep[sweep["reported"] & (sweep["kind"] != "without")]
-    if shown.empty or shown["shift_sd"].isna().all():
+    if shown.empty:
         return "No prior was changed."
+    if shown["shift_sd"].isna().all():
+        return 'The draws reach none of the changed priors: fit them anew (refit = "auto").'
     row = shown.loc[shown["shift_sd"].abs().idxmax()]
     return (
         f"The change that moves an answer most is {row['group']}, {row['change']}: "

@@ -22,13 +22,13 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.draws import Draws
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
-from cassini_bayes.model.mission.losses import Loss
+from cassini_bayes.model.mission.losses import Loss, loss_prior
 from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
 from cassini_bayes.model.mission.model import BranchAt, BranchThrusts, MissionModel, build_mission
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.model.thrusts import ThrustDraws
 from cassini_bayes.priors.reader import Priors, read_priors
-from cassini_bayes.results.mission.fitting import EarlierDraws, Losses, fit_mission, loss_prior
+from cassini_bayes.results.mission.fitting import EarlierDraws, Losses, fit_mission
 from cassini_bayes.results.mission.trend import LEAST_ON_TIME_S, draw_branches
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S

@@ -8,6 +8,9 @@ weight
 where L' differs from L only if the changed parameters are among those integrated out (or an event
 is left out). Weighting the collapsed density rather than drawn-back thrusts keeps the weights of a
 few dimensions, not of a hundred.
+
+Draws say nothing of values that the old prior excludes, and k̂ cannot notice it: a uniform made
+wider gives equal weights. Where a new prior allows such values, no draw has a weight.
 """
 
 from __future__ import annotations
@@ -19,10 +22,12 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.as_arrays import arrays_of
+from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
@@ -47,6 +52,7 @@ CHAIN_ESS: Final = 1_000
 REWEIGHTED: Final = "reweighted"
 REFITTED: Final = "re-fitted"
 BY_CHAIN: Final = "re-fitted (chain)"
+_BY_ROUNDING: Final = 1e-9  # probability beyond old bounds that the rounding of bounds may leave
 
 
 @dataclass(frozen=True)
@@ -161,17 +167,22 @@ def log_prior_ratio(
 ) -> Array:
     """log p'(θ) − log p(θ) of draws (n,) of named parameters whose priors were changed.
 
-    −∞ of all draws where a changed prior reaches beyond the old one: no draw is there, and no
-    weight can tell of it (of a uniform prior that is widened all weights are alike).
+    −inf throughout if a new prior allows values that the old one excludes: no draw can be there.
     """
     log_ratio = np.zeros(n)
     for name in names:
         old, new = before.parameters[name].distribution, after.parameters[name].distribution
         if old is not None and new is not None:
-            if not old.covers(new):
+            if probability_outside(new, old.support) > _BY_ROUNDING:
                 return np.full(n, -np.inf)
             log_ratio = log_ratio + new.log_density(draws[name]) - old.log_density(draws[name])
     return log_ratio
+
+
+def probability_outside(distribution: Distribution, ends: tuple[float, float]) -> float:
+    """Probability of values beyond either end of an interval, which may be infinite."""
+    below, above = distribution.standard_of(ends)
+    return float(ndtr(below) + ndtr(-above))
 
 
 def refitted(

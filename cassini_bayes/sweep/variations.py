@@ -17,6 +17,7 @@ from cassini_bayes.sweep.specification import GridTable
 
 Kind = Literal["width", "shift", "family", "without"]
 STUDENT_DOF: Final = 5.0
+_FAMILY_NAMES: Final = {"normal": "norm", "student-t": "t", "uniform": "uniform"}
 _FRACTIONS: Final = {0.25: "¼", 0.5: "½", 0.75: "¾"}
 
 
@@ -79,16 +80,15 @@ class Variation:
 
 
 def with_family(distribution: Distribution, family: str) -> Distribution:
-    """The same centre, spread and bounds in another family; itself where it is of that family.
+    """The same centre, spread and bounds in another family; unchanged if it is of that family.
 
-    Bounds are the ends of what it is defined on, where these are finite: a uniform becomes a normal
-    between its ends, a half-normal one above its edge.
-
-    The standard deviation before any truncation stays. ``student-t`` has five degrees of freedom. A
-    log-normal changes in the logarithm: its normal is itself, its Student-t the log-logistic (a
-    logistic is close to a Student-t of nine degrees of freedom), its uniform the log-uniform.
+    The standard deviation before any truncation stays. Bounds are the finite ends of the support,
+    whether written as bounds or the family's own (those of a uniform, the edge of a half-normal).
+    ``student-t`` has five degrees of freedom. A log-normal changes in the logarithm: its normal is
+    itself, its Student-t the log-logistic (a logistic is close to a Student-t of nine degrees of
+    freedom), its uniform the log-uniform.
     """
-    if (distribution.name, family) in (("norm", "normal"), ("uniform", "uniform")):
+    if distribution.name == _FAMILY_NAMES[family]:
         return distribution
     low, high = distribution.low, distribution.high
     if distribution.name == "lognorm" and distribution.loc == 0.0:

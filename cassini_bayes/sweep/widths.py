@@ -122,5 +122,5 @@ def _weights(
 
 
 def _in_support(weights: Weights) -> bool:
-    """Whether any draws are left inside the changed prior."""
+    """Whether draws are left inside the changed prior, and it allows nothing beyond the old one."""
     return bool(np.isfinite(weights.pareto_k))

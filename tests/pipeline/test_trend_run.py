@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from totals_cases import FLIGHT, ROOT
@@ -66,6 +67,13 @@ def write_mission(folder: Path, priors: Path, ids: tuple[str, ...]) -> Path:
     return path
 
 
+def without_pressure(mission: Path) -> None:
+    """Take the tank pressure out of a mission file."""
+    lines = mission.read_text("utf-8").splitlines()
+    own = ("[pressure]", "reference_kpa", "readings")
+    mission.write_text("\n".join(line for line in lines if not line.startswith(own)), "utf-8")
+
+
 def test_a_trend_is_written_and_goes_on_with_new_events(tmp_path: Path, priors: Path) -> None:
     """Two events, then a third: tables, JSON, NetCDF with the branch, figures and page."""
     out, run = tmp_path / "out", CliRunner()
@@ -96,6 +104,35 @@ def test_a_trend_is_written_and_goes_on_with_new_events(tmp_path: Path, priors: 
     ]
 
 
+def test_a_trend_of_one_event_has_a_page(tmp_path: Path, priors: Path) -> None:
+    """Nothing can set in, and no loss is asked to be tabulated: the page is whole still. Without a
+    tank pressure none is stated.
+    """
+    mission, out = write_mission(tmp_path, priors, IDS[:1]), tmp_path / "out"
+    without_pressure(mission)
+    text = mission.read_text("utf-8").replace("draws = 100", "draws = 100\ndegraded = []")
+    mission.write_text(text, "utf-8")
+    done = CliRunner().invoke(app, ["trend", str(mission), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    page = (out / "report.html").read_text("utf-8")
+    assert "Health of every thruster" in page
+    assert "P(&gt;" not in page
+    assert (out / "figures" / "losses_B.png").exists()
+    assert pd.read_csv(out / "trend.csv")["pressure_kpa"].isna().all()
+    record = json.loads((out / "trend.json").read_text("utf-8"))
+    assert {row["pressure_kpa"] for row in record["forecast"]} == {None}
+
+
+def test_beliefs_on_losses_are_checked_before_events_are_read(tmp_path: Path, priors: Path) -> None:
+    """A fixed share of what is lost is refused although the events are not there."""
+    text = priors.read_text("utf-8").replace('dist = "halfnorm"\nscale = 0.15', "fixed = 0.1")
+    (tmp_path / "priors.toml").write_text(text, "utf-8")
+    mission = write_mission(tmp_path, tmp_path / "priors.toml", IDS[:1])
+    mission.write_text(mission.read_text("utf-8").replace(str(FLIGHT), "none.csv"), "utf-8")
+    with pytest.raises(InputError, match="halfnorm"):
+        read_mission(read_mission_file(mission), tmp_path, "mission.toml")
+
+
 def test_another_spacecraft_and_an_event_twice_are_refused(tmp_path: Path, priors: Path) -> None:
     """One line each."""
     path = write_mission(tmp_path, priors, (IDS[0], IDS[0]))
@@ -117,12 +154,7 @@ def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> Non
     events = tmp_path / "events.csv"
     events.write_text("\n".join([text[0], other, own]) + "\n", "utf-8")
     mission = write_mission(tmp_path, priors, IDS[:1])
-    mission.write_text(mission.read_text("utf-8").replace("[pressure]", "[unused]"), "utf-8")
-    lines = mission.read_text("utf-8").splitlines()
-    lines = [
-        line for line in lines if not line.startswith(("[unused]", "reference_kpa", "readings"))
-    ]
-    mission.write_text("\n".join(lines), "utf-8")
+    without_pressure(mission)
     out, run = tmp_path / "out", CliRunner()
     arguments = ["fit", str(events), "--mission", str(mission), "--out", str(out)]
     refused = run.invoke(app, ["fit", str(events), "--priors", str(priors), "--out", str(out)])

@@ -273,6 +273,21 @@ def test_variants_are_new_objects(priors: Priors) -> None:
         priors.parameters["cm_x_m"] = changed.parameters["cm_x_m"]  # type: ignore[index]
 
 
+def test_scaled_priors_stay_where_a_parameter_can_be(priors: Priors) -> None:
+    """A uniform of a parameter that is never negative is widened upwards only; one of another
+    parameter both ways; a normal that had no bound gets none.
+    """
+    flat = Distribution("uniform", {"loc": 0.0, "scale": 0.6})
+    for name, support in (("tau_rise_s", (0.0, 0.9)), ("cm_x_m", (-0.3, 0.9))):
+        wide = priors.with_distribution(name, flat).scaled([name], width=2.0)
+        found = wide.parameters[name].distribution
+        assert found is not None
+        assert found.support == pytest.approx(support)
+    plain = Distribution("norm", {"loc": 0.5, "scale": 0.1})
+    changed = priors.with_distribution("tau_rise_s", plain).scaled(["tau_rise_s"], width=4.0)
+    assert changed.parameters["tau_rise_s"].distribution == plain.scaled(4.0)
+
+
 def test_priors_and_spaces_can_be_copied_to_workers(priors: Priors) -> None:
     """What a process pool does with its arguments keeps them equal."""
     space = priors.space(NAMES)

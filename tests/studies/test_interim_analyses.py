@@ -7,8 +7,8 @@ import pytest
 from mission_cases import PRIORS, mission_of, mission_table, mixed_events
 from scipy.special import logsumexp
 
-from cassini_bayes.model.mission.losses import Loss
-from cassini_bayes.results.mission.fitting import fit_mission, loss_prior, target
+from cassini_bayes.model.mission.losses import Loss, loss_prior
+from cassini_bayes.results.mission.fitting import fit_mission, target
 from cassini_bayes.sampling.warmstart import Proposal
 from cassini_bayes.studies import interim_analyses
 from cassini_bayes.studies.interim_analyses import Pool, analyses

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from sweep_cases import TOY_NAMES, toy_baseline, toy_exact
+from sweep_cases import TOY_NAMES, bounded_baseline, toy_baseline, toy_exact
 
 from cassini_bayes.sweep.cells import reweighted
 from cassini_bayes.sweep.variations import Group, Variation
@@ -47,3 +47,15 @@ def test_a_prior_that_moves_nothing_is_left_out(scale: float, kept: int) -> None
     values = scale * baseline.values[:, :1] / baseline.values[:, 0].std() + (1.0 - scale) * noise
     found = width_effects(baseline.factory.priors, [CENTRE], baseline.parameters, values, 0.05)
     assert len(found) == kept
+
+
+def test_widths_beyond_the_ends_of_the_prior_are_not_told() -> None:
+    """Of a uniform only narrower ones are: draws say nothing of values that the fit excluded."""
+    baseline = bounded_baseline()
+    group = Group("centre of mass", ("cm_x_m",))
+    effect = width_effects(baseline.factory.priors, [group], baseline.parameters, baseline.values)[
+        0
+    ]
+    wider = np.array(WIDTHS) > 1.0
+    np.testing.assert_array_equal(effect.trusted, ~wider)
+    assert np.isnan(effect.mean[wider]).all()

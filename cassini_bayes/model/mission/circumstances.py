@@ -12,9 +12,9 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.checks import check_known
 from cassini_bayes.model.mission.mission_file import (
     Epoch,
+    ForecastTable,
     MissionTable,
     PressureTable,
     utc,
@@ -90,7 +90,8 @@ def circumstances_of(
     ------
     InputError
         Events out of order, of a branch that a swap had put out of use, or without a pressure; a
-        pressure that looks like psia; a forecast for a branch without events, or before its last.
+        pressure that looks like psia; a forecast of a branch that no event fires, or of a date
+        before the last one that does.
     """
     for before, after in pairwise(events):
         if after.epoch < before.epoch:
@@ -102,7 +103,8 @@ def circumstances_of(
             )
     for event in events:
         _require_branch(mission, event, where)
-    _check_forecasts(mission, events, where)
+    for place, asked in enumerate(mission.trend.forecast, start=1):
+        _require_later(asked, events, f"{where}: trend.forecast[{place}]")
     start = mission.trend.reference_epoch
     used = np.array([_used_kg(mission, event.epoch) for event in events])
     facts = [utc(fact.epoch) for fact in mission.dated]
@@ -177,20 +179,26 @@ def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> Non
         )
 
 
-def _check_forecasts(mission: MissionTable, events: Sequence[EventFacts], where: str) -> None:
-    """Refuse forecasts of what no event tells: losses are those after the last event."""
-    last = {event.branch: event.epoch for event in events}
-    for i, asked in enumerate(mission.trend.forecast, start=1):
-        place = f"{where}: trend.forecast[{i}]"
-        check_known(f"{place}.branch", asked.branch, sorted(last), "a branch of the events")
-        if utc(asked.epoch) < last[asked.branch]:
-            raise InputError(
-                f"{place}.epoch",
-                f"a date after the last event of branch {asked.branch}, "
-                f"{last[asked.branch].date()}",
-                str(asked.epoch),
-                "what was before is in the tables of the events",
-            )
+def _require_later(asked: ForecastTable, events: Sequence[EventFacts], where: str) -> None:
+    """Refuse a forecast of what was never seen, or of a date by which losses had not all set in."""
+    fired = [event for event in events if event.fires]
+    own = [event for event in fired if event.branch == asked.branch]
+    if not own:
+        branches = ", ".join(dict.fromkeys(event.branch for event in fired))
+        raise InputError(
+            f"{where}.branch",
+            f"a branch that an event of the mission fires ({branches or 'none does'})",
+            repr(asked.branch),
+            "mend the branch, add an event of it, or leave the forecast out",
+        )
+    if utc(asked.epoch) < own[-1].epoch:
+        raise InputError(
+            f"{where}.epoch",
+            f"a date not before the last event of branch {asked.branch}, {own[-1].id}"
+            f" of {own[-1].epoch.isoformat()}",
+            str(asked.epoch),
+            "ask for a later date; thrusts of earlier ones are in trend.csv",
+        )
 
 
 def _between_readings(

@@ -24,6 +24,7 @@ from cassini_bayes.model.event_reduction import (
 )
 from cassini_bayes.model.gather import Read, together
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
+from cassini_bayes.model.mission.losses import LossPrior, loss_prior
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.model.mission.model import MissionModel, build_mission
 from cassini_bayes.model.nominal import check_rows
@@ -33,13 +34,14 @@ from cassini_bayes.priors.reader import Priors, read_priors
 
 @dataclass(frozen=True)
 class MissionInputs:
-    """A mission's priors and events, and its model; digests are those of the files.
+    """A mission's priors and events, beliefs on losses, and its model; digests are of the files.
 
     ``findings`` are mistakes that were accepted, and what fits nothing known.
     """
 
     priors: Priors
     model: MissionModel
+    losses: LossPrior
     on_time_s: Mapping[str, Array]  # event → (K,)
     digests: Mapping[str, str]  # event → SHA-256 of where it came from
     findings: tuple[str, ...]
@@ -67,6 +69,7 @@ def read_mission(
         spacecraft does (it is named).
     """
     priors = read_priors(base / mission.priors)
+    losses = loss_prior(priors)
     name = mission.spacecraft.get("name", priors.spacecraft.name)
     if name != priors.spacecraft.name:
         raise InputError(
@@ -110,7 +113,7 @@ def read_mission(
     circumstances = circumstances_of(mission, facts, where)
     model = build_mission(mission, priors, events, circumstances)
     on_times = {event.id: _on_times(event) for event in events}
-    return MissionInputs(priors, model, on_times, digests, findings_of_all)
+    return MissionInputs(priors, model, losses, on_times, digests, findings_of_all)
 
 
 def _telemetry(

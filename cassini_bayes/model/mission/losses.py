@@ -16,8 +16,12 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp, owens_t
 
 from cassini_bayes.computing.arrays import Array, Places, picked
+from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.model import BranchAt
+from cassini_bayes.priors.reader import Priors
 
+LOSS_SHARE: Final = "thrust_loss_share"
+FAILING: Final = "failing_probability"
 NODES: Final = np.polynomial.legendre.leggauss(16)
 _SMALL: Final = 1e-8  # probability below which rounding takes a share of it
 _NEAR: Final = 12.0  # nats from the likeliest hypothesis within which pairs are kept
@@ -32,6 +36,35 @@ class LossPrior:
 
     probability: float  # that one thruster of a branch fails during the mission
     scale: float  # of the half normal of the share that is lost
+
+
+def loss_prior(priors: Priors) -> LossPrior:
+    """Beliefs on failing thrusters from a priors file.
+
+    Raises
+    ------
+    InputError
+        One is missing; a share that is lost that is no half normal from 0, which the evidence of a
+        loss is worked out for; a probability that is no number between 0 and 1, both excluded.
+    """
+    priors.require((LOSS_SHARE, FAILING), "a mission")
+    share, failing = (priors.parameters[name] for name in (LOSS_SHARE, FAILING))
+    own = share.distribution
+    if own is None or (own.name, own.loc, own.support) != ("halfnorm", 0.0, (0.0, np.inf)):
+        raise InputError(
+            f"{priors.path}: parameters.{LOSS_SHARE}.dist",
+            "halfnorm from 0 without bounds: the evidence of a loss is worked out for it",
+            f"fixed = {share.fixed!r}" if own is None else repr(own),
+            'write dist = "halfnorm" and a scale; 0.15 says that losses of 10 to 25 % are usual',
+        )
+    if failing.fixed is None or not 0.0 < failing.fixed < 1.0:
+        raise InputError(
+            f"{priors.path}: parameters.{FAILING}.fixed",
+            "a fixed probability above 0 and below 1",
+            repr(failing.distribution if failing.fixed is None else failing.fixed),
+            "fix it, e.g. at 0.1; a small one, e.g. 1e-6, stands for thrusters that do not fail",
+        )
+    return LossPrior(failing.fixed, own.scale)
 
 
 @dataclass(frozen=True)

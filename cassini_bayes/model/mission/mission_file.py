@@ -161,7 +161,8 @@ def read_mission_file(path: Path) -> MissionTable:
     ------
     InputError
         As :func:`validated`; dated facts or readings out of order; a swap without its branch; a
-        recharge with a blowdown law that does not know the pressure after it.
+        parameter that two facts change at one moment; a recharge with a blowdown law that does not
+        know the pressure after it.
     """
     return check_mission(read_toml(path, "a mission file"), str(path))
 
@@ -190,6 +191,7 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
                 "nothing",
                 'add branch = "B"',
             )
+    _refuse_changed_twice(mission.dated, where)
     if mission.pulse_shape not in PULSE_SHAPES:
         raise InputError(
             f"{where}: pulse_shape",
@@ -214,6 +216,21 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
             "add recharge_kpa",
         )
     return mission
+
+
+def _refuse_changed_twice(dated: Sequence[DatedTable], where: str) -> None:
+    """Refuse a parameter that two facts change at one moment: they would be one change, twice."""
+    seen: set[tuple[datetime, str]] = set()
+    for place, fact in enumerate(dated, start=1):
+        for name in fact.change:
+            if (utc(fact.epoch), name) in seen:
+                raise InputError(
+                    f"{where}: dated[{place}].change.{name}",
+                    f"one change of {name} at one moment",
+                    f"another by an earlier fact, at {fact.epoch}",
+                    "write their sum in one of them, or give the facts their times of day",
+                )
+            seen.add((utc(fact.epoch), name))
 
 
 def _require_order(where: str, epochs: list[Epoch]) -> None:

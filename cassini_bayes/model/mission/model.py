@@ -479,7 +479,6 @@ def _check_changes(mission: MissionTable, priors: Priors) -> None:
     tables: list[tuple[str, Mapping[str, ChangeTable], str]] = [
         (f"dated[{i}].change", fact.change, "") for i, fact in enumerate(mission.dated, start=1)
     ]
-    _check_once(mission)
     for where, changes, per in [*tables, ("drift", mission.drift, "/kg")]:
         for name, change in changes.items():
             allowed = [n for n, spec in specs.items() if spec.block in MAY_CHANGE]
@@ -495,21 +494,6 @@ def _check_changes(mission: MissionTable, priors: Priors) -> None:
                 raise InputError(
                     f"{where}.{name}.unit", repr(unit), repr(change.unit), "convert the values"
                 )
-
-
-def _check_once(mission: MissionTable) -> None:
-    """Refuse two facts of one date that change the same parameter: both would have one name."""
-    seen: set[str] = set()
-    for i, fact in enumerate(mission.dated, start=1):
-        for name in fact.change:
-            if change_name(name, fact.epoch) in seen:
-                raise InputError(
-                    f"dated[{i}].change.{name}",
-                    "one change of a parameter at a date",
-                    f"another one at {fact.epoch}",
-                    "write the sum of both in one of them",
-                )
-            seen.add(change_name(name, fact.epoch))
 
 
 def _space(

@@ -107,7 +107,7 @@ def losses(own: pd.DataFrame, health: pd.DataFrame, onsets: pd.DataFrame) -> Fig
         )
         symbols(right, when[part["event"]], part["probability"], *look, label=label)
     right.set_ylabel("probability of the onset, if it fails")
-    if np.isfinite(right.dataLim.y1):  # a single event has no onset
+    if np.isfinite(right.dataLim.y1):  # not with a single event: nothing can set in
         right.set_ylim(0.0, 1.15 * right.dataLim.y1)
     right.tick_params(axis="x", labelrotation=35)
     right.legend(loc="best")

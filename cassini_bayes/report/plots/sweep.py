@@ -63,15 +63,11 @@ def _knobs(rows: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
         ["group", "kind", "parameters"], sort=False
     ):
         name = parameters if kind == "shift" else group
-        strength = float(
-            np.nanmax(
-                np.maximum(
-                    np.abs(cells["shift_sd"]) - cells["shift_error"],
-                    np.abs(np.log(cells["width_ratio"])) - cells["width_error"],
-                ),
-                initial=-np.inf,
-            )
+        either = np.maximum(
+            np.abs(cells["shift_sd"]) - cells["shift_error"],
+            np.abs(np.log(cells["width_ratio"])) - cells["width_error"],
         )
+        strength = float(np.fmax.reduce(either, initial=-np.inf))  # NaN: draws reach no cell
         result.append((strength, f"{name}: {_ENDS[str(kind)]}", cells))
     result.sort(key=lambda knob: -knob[0])
     return [(label, cells) for _, label, cells in result[:KNOBS_SHOWN]]
@@ -127,10 +123,10 @@ def overlay_figure(
 ) -> Figure:
     """Posteriors of one quantity under every change, one panel per group, over the baseline's.
 
-    base (n,) draws; cells: (group, kind, label, quantiles (199,)) in order; single shifts are left
-    out (the tornado has them).
+    base (n,) draws; cells: (group, kind, label, quantiles (199,)) in order with one to show;
+    single shifts are left out (the tornado has them), and cells that draws do not reach.
     """
-    shown = [cell for cell in cells if cell[1] != "shift" and np.isfinite(cell[3]).all()]
+    shown = [cell for cell in cells if _laid_over(cell)]
     groups = list(dict.fromkeys(cell[0] for cell in shown))
     scale = display_scale(unit, float(np.abs(base).max()))
     across = min(PANELS_ACROSS, len(groups))
@@ -153,6 +149,10 @@ def overlay_figure(
             fontweight="bold", x=0.01, ha="left",
         )  # fmt: skip
     return figure
+
+
+def _laid_over(cell: tuple[str, str, str, Array]) -> bool:
+    return cell[1] != "shift" and bool(np.isfinite(cell[3]).all())
 
 
 def _overlay_grid(base: Array, quantiles: Sequence[Array]) -> Array:
@@ -259,6 +259,8 @@ def sweep_figures(
 ) -> dict[str, Figure]:
     """Every figure of a sweep by name: ``worth``, then ``tornado_1``, ``overlay_1`` … in order.
 
+    A figure that would be empty is left out.
+
     base: quantity → (unit, draws (n,)); quantiles: (group, kind, label, quantity → (199,)).
     """
     result: dict[str, Figure] = {}
@@ -266,8 +268,9 @@ def sweep_figures(
     if together is not None:
         result["worth"] = together
     for i, (quantity, (unit, draws)) in enumerate(base.items(), start=1):
-        if (table["kind"] != "without").any():
+        if ((table["kind"] != "without") & table["reported"] & table["shift_sd"].notna()).any():
             result[f"tornado_{i}"] = tornado_figure(table, quantity)
         cells = [(group, kind, label, line[quantity]) for group, kind, label, line in quantiles]
-        result[f"overlay_{i}"] = overlay_figure(quantity, unit, draws, cells)
+        if any(_laid_over(cell) for cell in cells):
+            result[f"overlay_{i}"] = overlay_figure(quantity, unit, draws, cells)
     return result

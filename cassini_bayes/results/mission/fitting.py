@@ -20,7 +20,6 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.log import Log, silent
-from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.mission.losses import (
     Hypothesis,
@@ -35,7 +34,6 @@ from cassini_bayes.model.mission.losses import (
 )
 from cassini_bayes.model.mission.model import BranchAt, MissionModel
 from cassini_bayes.priors.quantiles import standard_normal_log_density
-from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import (
     PROPOSAL_DOF,
     TRUSTED_K,
@@ -156,38 +154,6 @@ class MissionFit(EarlierDraws):
             reference = losses.reference
             total += float(losses.log_prior[reference] - np.log(losses.probability[reference]))
         return total
-
-
-def loss_prior(priors: Priors) -> LossPrior:
-    """Beliefs on failing thrusters from a priors file.
-
-    Raises
-    ------
-    InputError
-        One is missing; a share of loss that is no half-normal, whose evidence has no closed form
-        here; a probability that decides beforehand.
-    """
-    priors.require(("thrust_loss_share", "failing_probability"), "a mission")
-    share, failing = (
-        priors.parameters[name] for name in ("thrust_loss_share", "failing_probability")
-    )
-    own = share.distribution
-    plain = own is not None and own.name == "halfnorm" and own.loc == 0.0
-    if own is None or not plain or own.support != (0.0, np.inf):
-        raise InputError(
-            f"{priors.path}: parameters.thrust_loss_share",
-            'dist = "halfnorm" with a scale, without loc and bounds',
-            f"fixed = {share.mean:g}" if own is None else repr(own),
-            "give the size of a usual loss as the scale, e.g. 0.15",
-        )
-    if not 0.0 < failing.mean < 1.0:
-        raise InputError(
-            f"{priors.path}: parameters.failing_probability",
-            "a probability above 0 and below 1",
-            f"{failing.mean:g}",
-            "say how many of the thrusters may fail, e.g. 0.1",
-        )
-    return LossPrior(failing.mean, own.scale)
 
 
 def target(model: MissionModel, references: References, prior: LossPrior) -> LogDensity:

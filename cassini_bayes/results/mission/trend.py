@@ -159,11 +159,14 @@ def thrust_table(
     draws: Mapping[str, BranchDraws],
     on_time_s: Mapping[str, Array],
 ) -> pd.DataFrame:
-    """Thrust of every thruster in every event, as flown and at the reference pressure, N."""
+    """Thrust of every thruster in every event, as flown and at the reference pressure, N.
+
+    ``pressure_kpa`` is NaN where the mission has no tank pressure.
+    """
     circumstances = fit.model.circumstances
     pressures = circumstances.tank.pressures_kpa(np.ones(1))[0]
     if mission.pressure is None:
-        pressures = np.full(len(pressures), np.nan)
+        pressures = np.full_like(pressures, np.nan)
     rows = []
     for branch, branch_draws in draws.items():
         for e, place in enumerate(branch_draws.thrusts.events):
@@ -259,7 +262,10 @@ def forecast_table(
     draws: Mapping[str, BranchDraws],
     rng: np.random.Generator,
 ) -> pd.DataFrame:
-    """Thrust of every thruster at the dates and pressures that the mission file asks for, N."""
+    """Thrust of every thruster at the dates and pressures that the mission file asks for, N.
+
+    ``pressure_kpa`` is NaN where the mission has no tank pressure: the one asked for says nothing.
+    """
     rows = []
     for asked in mission.trend.forecast:
         thrust = forecast(fit, mission, draws[asked.branch], asked, rng)
@@ -269,7 +275,7 @@ def forecast_table(
                 {
                     "epoch": str(asked.epoch),
                     "branch": asked.branch,
-                    "pressure_kpa": asked.pressure_kpa,
+                    "pressure_kpa": np.nan if mission.pressure is None else asked.pressure_kpa,
                     "thruster": name,
                     **_summary("thrust", values),
                 }

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mission_cases import mission_of, mission_table
+from mission_cases import PRIORS, mission_of, mission_table
 from scipy.integrate import quad
 from scipy.stats import binom, halfnorm, norm, truncnorm
 from totals_cases import flight
 
 from cassini_bayes.computing.arrays import picked
+from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.losses import (
     Loss,
     LossPrior,
@@ -25,12 +26,15 @@ from cassini_bayes.model.mission.losses import (
     log_bayes_single,
     log_both_positive,
     log_prior_of,
+    loss_prior,
     loss_terms,
     near_hypotheses,
     prior_losses,
 )
 from cassini_bayes.model.mission.model import BranchAt
 from cassini_bayes.model.thrusts import ThrustPrior, collapse_thrusts
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import read_priors
 
 SCALE = 0.15
 
@@ -218,3 +222,37 @@ def test_losses_before_any_data_follow_their_prior() -> None:
     assert drawn.share[drawn.share > 0].mean() == pytest.approx(mean, rel=0.03)
     alone = prior_losses(LossPrior(0.1, SCALE), (10, 1, 8), np.random.default_rng(3))
     assert not alone.share.any()  # a branch of one event has no onset after it
+
+
+@pytest.mark.parametrize(
+    ("name", "prior", "message"),
+    [
+        ("thrust_loss_share", 0.1, r"halfnorm from 0 without bounds.*got fixed = 0\.1"),
+        (
+            "thrust_loss_share",
+            Distribution("norm", {"loc": 0.20, "scale": 0.01}),
+            r"thrust_loss_share\.dist: expected halfnorm.*got Distribution\('norm'",
+        ),
+        ("thrust_loss_share", Distribution("halfnorm", {"scale": 0.1}, high=0.3), "without bounds"),
+        ("thrust_loss_share", Distribution("halfnorm", {"loc": -0.1}, low=0.0), "from 0"),
+        ("failing_probability", 0.0, r"above 0 and below 1, got 0\.0"),
+        ("failing_probability", 1.0, r"above 0 and below 1, got 1\.0"),
+        ("failing_probability", Distribution("beta", {"a": 1.0, "b": 9.0}), "a fixed probability"),
+    ],
+)
+def test_beliefs_on_losses_are_those_the_formulae_are_for(
+    name: str, prior: Distribution | float, message: str
+) -> None:
+    """Another prior of what is lost, or a sure answer on whether, is refused in one line; none is
+    read as something else.
+    """
+    priors = read_priors(PRIORS)
+    assert loss_prior(priors) == LossPrior(0.1, 0.15)
+    changed = (
+        priors.with_distribution(name, prior)
+        if isinstance(prior, Distribution)
+        else priors.with_fixed(name, prior)
+    )
+    with pytest.raises(InputError, match=message) as refused:
+        loss_prior(changed)
+    assert "\n" not in str(refused.value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, date, datetime
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from totals_cases import ROOT
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
-from cassini_bayes.model.mission.mission_file import check_mission
+from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
 
 
 def pressures(facts: list[EventFacts], **changes: Any) -> np.ndarray:
@@ -96,6 +96,39 @@ def test_events_that_cannot_be_are_refused(facts: list[EventFacts], message: str
 
 
 @pytest.mark.parametrize(
+    ("epoch", "branch", "message"),
+    [
+        (
+            utc(2012, 1, 1),
+            "C",
+            r"trend\.forecast\[1\]\.branch: expected .* fires \(A, B\), got 'C'",
+        ),
+        (utc(2009, 8, 1), "B", r"forecast\[1\]\.epoch: expected a date not before the last event"),
+        (date(2005, 1, 1), "A", r"last event of branch A, 2007-a of 2007-03-01.*got 2005-01-01"),
+    ],
+)
+def test_forecasts_that_cannot_be_are_refused(
+    epoch: datetime | date, branch: str, message: str
+) -> None:
+    """Of a branch without events, or of a date before some loss had set in; another branch's
+    events may be later, and the date of the last event will do.
+    """
+    facts = facts_of(mixed_events())
+
+    def asking(when: datetime | date, what: str) -> MissionTable:
+        forecast = [{"epoch": when, "branch": what, "pressure_kpa": 2000.0}]
+        trend = {"reference_epoch": utc(2005, 1, 1), "forecast": forecast}
+        return mission_table(trend=trend)
+
+    circumstances_of(asking(utc(2007, 3, 1), "A"), facts, "mission.toml")
+    with pytest.raises(InputError, match=message):
+        circumstances_of(asking(epoch, branch), facts, "mission.toml")
+    still = [replace(event, fires=event.branch == "A") for event in facts]
+    with pytest.raises(InputError, match=r"fires \(A\), got 'B'"):
+        circumstances_of(asking(utc(2012, 1, 1), "B"), still, "mission.toml")
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"dated": [{"what": "branch_swap", "branch": "B", "source": "x"}]}, "epoch"),
@@ -111,27 +144,6 @@ def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], messag
     """A swap without a date or a branch, an unknown fact, an unknown pulse shape."""
     with pytest.raises(InputError, match=message):
         mission_table(**change)
-
-
-def test_forecasts_that_no_event_tells_of_are_refused() -> None:
-    """A branch without events was left out in silence; a date before them had all later losses."""
-    events = [fact("a", utc(2005, 3, 1)), fact("b", utc(2009, 9, 1), branch="B")]
-    for epoch, branch, message in (
-        (utc(2012, 1, 1), "C", r"forecast\[1\].branch: expected a branch of the events"),
-        (utc(2008, 1, 1), "B", r"forecast\[1\].epoch: expected a date after the last event"),
-    ):
-        asked = [{"epoch": epoch, "branch": branch, "pressure_kpa": 2000.0}]
-        trend = {"reference_epoch": utc(2005, 1, 1), "forecast": asked}
-        with pytest.raises(InputError, match=message):
-            circumstances_of(mission_table(trend=trend), events, "mission.toml")
-
-
-def test_one_date_changes_a_parameter_once() -> None:
-    """Two facts of one date had one name: the last change was counted twice, the first lost."""
-    change = {"cm_y_m": {"loc": 0.005, "scale": 0.0, "unit": "m", "source": "made up"}}
-    given = {"epoch": utc(2009, 10, 1), "what": "separation", "source": "x", "change": change}
-    with pytest.raises(InputError, match=r"dated\[2\].change.cm_y_m: expected one change"):
-        mission_of(mixed_events(), mission_table(dated=[given, given]))
 
 
 def test_readings_out_of_order_are_refused() -> None:
@@ -155,6 +167,38 @@ def test_only_what_may_change_does() -> None:
         dated = [{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}]
         with pytest.raises(InputError, match=message):
             mission_of(events, mission_table(dated=dated))
+
+
+def test_one_parameter_is_changed_once_at_a_moment() -> None:
+    """Two facts of one epoch that change one parameter are refused (the later one would count
+    twice); at two times of a day, or of two parameters, both are taken.
+    """
+
+    def facts(*changed: tuple[datetime | date, str, float]) -> list[dict[str, Any]]:
+        return [
+            {
+                "epoch": epoch,
+                "what": "burn",
+                "source": "x",
+                "change": {name: {"loc": loc, "scale": 0.0, "unit": "m", "source": "x"}},
+            }
+            for epoch, name, loc in changed
+        ]
+
+    day, noon = date(2005, 6, 1), datetime(2005, 6, 1, 12, tzinfo=UTC)
+    for same in (day, utc(2005, 6, 1)):
+        with pytest.raises(InputError, match=r"dated\[2\]\.change\.cm_y_m: expected one change"):
+            mission_table(dated=facts((day, "cm_y_m", 0.005), (same, "cm_y_m", -0.003)))
+    table = mission_table(
+        dated=facts((day, "cm_y_m", 0.005), (day, "cm_x_m", 0.1), (noon, "cm_y_m", -0.003))
+    )
+    model = mission_of(mixed_events()[:2], table)
+    parameters = model.space.to_parameters(np.zeros((1, model.space.dimension)))
+    early, late = (
+        float(np.squeeze(part.parameters_at(parameters, np.ones(1), 0.0)["cm_y_m"]))
+        for part in model.parts
+    )
+    assert late - early == pytest.approx(0.002)
 
 
 def test_changes_and_drift_move_parameters() -> None:

@@ -10,10 +10,8 @@ from mission_cases import PRIORS, mission_of, mission_table, mixed_events
 from totals_cases import flight
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.model.mission.losses import Loss
-from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.model.mission.losses import Loss, loss_prior
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.mission.fitting import (
     EarlierDraws,
@@ -21,7 +19,6 @@ from cassini_bayes.results.mission.fitting import (
     Remembered,
     embedded,
     fit_mission,
-    loss_prior,
     target,
     weighed_losses,
 )
@@ -117,32 +114,6 @@ def test_values_of_a_killed_fit_are_read_back(
     np.testing.assert_array_equal(first, again)
     assert sum(calls) == 250
     np.testing.assert_array_equal(Remembered(density, None)(z), first)
-
-
-@pytest.mark.parametrize(
-    ("name", "prior", "expected"),
-    [
-        ("thrust_loss_share", 0.1, "halfnorm"),
-        ("thrust_loss_share", Distribution("norm", {"loc": 0.2, "scale": 0.01}), "halfnorm"),
-        ("thrust_loss_share", Distribution("halfnorm", {"scale": 0.1}, high=0.5), "halfnorm"),
-        ("failing_probability", 0.0, "above 0 and below 1"),
-    ],
-)
-def test_beliefs_that_losses_cannot_have_are_refused(
-    name: str, prior: float | Distribution, expected: str
-) -> None:
-    """A fixed loss or no failures ended in a traceback; of another family the scale alone was read.
-
-    N(0.20, 0.01) had become losses of 1 %.
-    """
-    given = read_priors(PRIORS)
-    if isinstance(prior, float):
-        given = given.with_fixed(name, prior)
-    else:
-        given = given.with_distribution(name, prior)
-    with pytest.raises(InputError, match=expected):
-        loss_prior(given)
-    assert loss_prior(read_priors(PRIORS)).scale == 0.15
 
 
 def test_target_is_likelihood_and_prior() -> None:
