@@ -16,7 +16,6 @@ import xarray as xr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import DEFAULT_SEED, check_seed
-from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
@@ -55,6 +54,7 @@ from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.fitting import fit_warnings, stop_rule_held
 from cassini_bayes.results.record import Fit
+from cassini_bayes.results.record import read_fit as read_record
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
@@ -453,8 +453,7 @@ def _sources(
         accept=accept,
         effect_files=[Path(item) for item in effect_files],
     )
-    stored = Fit(*read_groups(file, {"sample_stats": ()}, "a fit.nc of this package"))
-    return sources, file, stored
+    return sources, file, read_record(file, ("sample_stats",))
 
 
 def _requests(

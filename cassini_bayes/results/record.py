@@ -95,12 +95,12 @@ def save_fit(fit: Fit, path: Path) -> None:
     write_bytes(path, sealed(bytes(content)))
 
 
-def read_fit(path: Path) -> Fit:
-    """Read a fit written by :func:`save_fit`.
+def read_fit(path: Path, groups: Sequence[str] = GROUPS) -> Fit:
+    """Read a fit written by :func:`save_fit`, or some of its groups.
 
     Raises
     ------
     InputError
         The file is missing, is not NetCDF, is truncated, or lacks a group.
     """
-    return Fit(*read_groups(path, dict.fromkeys(GROUPS, ()), "a fit.nc of this package"))
+    return Fit(*read_groups(path, dict.fromkeys(groups, ()), "a fit.nc of this package"))

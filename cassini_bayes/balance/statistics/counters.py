@@ -156,6 +156,8 @@ def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
     for gained, begun in zip((on_time_s - on_time_s[0]).T, (pulses - pulses[0]).T, strict=True):
         if len(np.unique(gained)) < LEAST_VALUES:
             continue
+        if not np.any(begun > 0.0):  # one pulse that goes on
+            continue
         width = float(np.median(gained[begun > 0.0] / begun[begun > 0.0]))
         fired = gained / width if width > 0.0 else np.full(len(gained), 0.5)
         whole = np.abs(fired - np.round(fired)) * width < _SLACK
