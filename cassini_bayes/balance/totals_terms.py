@@ -266,11 +266,12 @@ def response_jacobian(
     lever_arms (..., E, 3, K), stretch (..., E, K), response (E, K, 3), thrust_n (..., E, K),
     answered (E, 3), or broadcastable. Derivation: docs/topics/totals-likelihood.md.
     """
-    answers = answered[..., None, :]
-    rows = np.where(answers, stretch[..., :, None] * response, 0.0)
-    about = lever_arms @ response
-    unit = about / np.linalg.norm(about, axis=-2, keepdims=True)
-    matrix = np.where(answers, (lever_arms * thrust_n[..., None, :]) @ rows, unit)
+    rows = stretch[..., :, None] * response
+    matrix = (lever_arms * thrust_n[..., None, :]) @ rows
+    if not answered.all():  # hardly ever
+        answers, about = answered[..., None, :], lever_arms @ response
+        unit = about / np.linalg.norm(about, axis=-2, keepdims=True)
+        rows, matrix = np.where(answers, rows, 0.0), np.where(answers, matrix, unit)
     _, value = np.linalg.slogdet(matrix)
     spread = np.broadcast_to(lever_arms, (*matrix.shape[:-1], lever_arms.shape[-1]))
     projector = rows @ np.linalg.solve(matrix, spread)

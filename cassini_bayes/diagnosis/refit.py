@@ -41,7 +41,7 @@ def _renamed(fit: Fit, weighed: Weighed[Hypothesis], z: Array) -> Fit:
             if p.is_departure:
                 meta = {"units": p.unit, "long_name": f"{effect.name}: {p.key}"}
                 drawn = by_key[p.key].reshape(z.shape[:2])
-                name = effect.variable(replace(p, is_departure=False))
+                name = effect.variable(replace(p, baseline=""))
                 values[name] = (("chain", "draw"), drawn, meta)
     groups = dict(fit.groups)
     for group in ("posterior", "prior"):

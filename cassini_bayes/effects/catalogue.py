@@ -248,10 +248,10 @@ def _parameter(
     row: ParameterTable, kind: Kind, target: str, priors: Priors
 ) -> EffectParameter | None:
     key = row.key.replace("{target}", target)
-    baseline = _baseline(row, target, priors) if row.is_departure else key
+    baseline = _baseline(row, target, priors) if row.is_departure else ""
     if baseline is None:
         return None
-    prior = priors.parameters.get(baseline)
+    prior = priors.parameters.get(baseline or key)
     distribution = row.prior
     if not isinstance(distribution, Distribution):
         if prior is None or prior.distribution is None:
@@ -263,14 +263,13 @@ def _parameter(
             str(row.where / "unit"), f"{prior.spec.unit}, that of {baseline}", repr(row.unit),
             "convert the values, then write that unit",
         )  # fmt: skip
-    role = "departure" if row.is_departure else "effect"
+    role = "departure" if baseline else "effect"
     return EffectParameter(
         f"{role}:{kind.name}:{target}:{key}",
         key,
         row.unit,
         distribution,
-        row.is_departure,
-        baseline if row.is_departure else "",
+        baseline,
     )
 
 

@@ -167,15 +167,19 @@ class EffectParameter:
     """One parameter of an effect, walked under ``name``.
 
     ``key`` is its name in a diagnosis; a departure is added to the parameter ``baseline`` of the
-    spacecraft or the model.
+    spacecraft or the model, anything else has none.
     """
 
     name: str
     key: str
     unit: str
     distribution: Distribution
-    is_departure: bool
     baseline: str = ""
+
+    @property
+    def is_departure(self) -> bool:
+        """Whether it is added to a parameter that is there without the effect."""
+        return bool(self.baseline)
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,11 @@ def check_seed(seed: object, where: str = "seed") -> None:
     InputError
         No whole number, or one below 0 or above ``LARGEST_SEED``.
     """
-    is_whole = isinstance(seed, Integral) and not isinstance(seed, bool)
-    if not is_whole or not 0 <= int(seed) <= LARGEST_SEED:  # type: ignore[call-overload]
+    if (
+        isinstance(seed, bool)
+        or not isinstance(seed, Integral)
+        or not 0 <= int(seed) <= LARGEST_SEED
+    ):
         expected = f"a whole number from 0 to {LARGEST_SEED}"
         raise InputError(where, expected, repr(seed), "choose another seed")
 

@@ -23,6 +23,7 @@ from cassini_bayes.effects.tables import Place, read_table
 from cassini_bayes.effects.user_files import guarded, load_module
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, write_totals
+from cassini_bayes.files.checks import check_seed
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
@@ -273,8 +274,7 @@ def simulate_scenario(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
-    if seed < 0:
-        raise InputError("--seed", "a whole number from 0", str(seed), "choose another seed")
+    check_seed(seed, "--seed")
     file = read_scenario(path, own)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():

@@ -27,7 +27,7 @@ def effect(name: str, **keywords: float) -> Effect:
     """An effect of one size with this prior."""
     bounds = {key: keywords.pop(key) for key in ("low", "high") if key in keywords}
     prior = Distribution(name, keywords, bounds.get("low"), bounds.get("high"))
-    return Effect(KIND, "z3", (EffectParameter("size", "size", "N", prior, False),), 0.01)
+    return Effect(KIND, "z3", (EffectParameter("size", "size", "N", prior),), 0.01)
 
 
 def log_bayes_factor(estimate: float, sd: float, prior: Distribution, null: float) -> float:

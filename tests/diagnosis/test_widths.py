@@ -29,7 +29,7 @@ def weighed(seen: float, draws: int = 20_000) -> Weighed[Hypothesis]:
     mean, sd = seen / NOISE_SD**2 / precision, precision**-0.5
     x = mean + sd * np.random.default_rng(1).standard_normal(draws)
     prior = Distribution("norm", {"loc": 0.0, "scale": PRIOR_SD})
-    parameter = EffectParameter("effect_x", "x", "", prior, is_departure=False)
+    parameter = EffectParameter("effect_x", "x", "", prior)
     effect = Effect(Kind("x", unchanged), "", (parameter,), 0.1)
     model = SimpleNamespace(space=ParameterSpace(("effect_x",), {}, (prior,), ("effect",)))
     hypothesis = cast(Hypothesis, SimpleNamespace(name="x", effects=(effect,), model=model))

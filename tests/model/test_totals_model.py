@@ -12,6 +12,7 @@ from totals_cases import B_BRANCH, FLIGHT, ROOT, flight, point
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model import build_model, draw, log_likelihood
+from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
 
@@ -60,22 +61,18 @@ def test_unknown_pulse_shape_is_refused() -> None:
         build_model(events, priors, pulse_shape="square")
 
 
-def test_missing_mass_is_refused_only_where_delta_v_is_used() -> None:
-    """An event without mass fits with ΔV ignored and is an error otherwise."""
-    events, priors = flight(1)
-    bare = (replace(events[0], mass_kg=None),)
-    with pytest.raises(InputError, match="mass_kg"):
+@pytest.mark.parametrize(
+    ("missing", "without"), [("mass_kg", "ignore"), ("thrust_predicted_n", "as-measured")]
+)
+def test_what_a_delta_v_needs_is_asked_for_only_where_it_is_used(
+    missing: str, without: DeltaVUse
+) -> None:
+    """Of no mass nothing is asked with ΔV ignored; an accelerometer's needs no assumed thrust."""
+    (event,), priors = flight(1)
+    bare = (replace(event, **{missing: None}),)
+    with pytest.raises(InputError, match=missing):
         build_model(bare, priors)
-    build_model(bare, priors, delta_v="ignore")
-
-
-def test_measured_delta_v_needs_no_assumed_thrust() -> None:
-    """An accelerometer's ΔV is fitted without the thrust that the ground software assumed."""
-    events, priors = flight(1)
-    bare = (replace(events[0], thrust_predicted_n=None),)
-    with pytest.raises(InputError, match="thrust_predicted_n"):
-        build_model(bare, priors)
-    build_model(bare, priors, delta_v="as-measured")
+    build_model(bare, priors, delta_v=without)
 
 
 def test_a_row_in_which_nothing_fired_is_refused() -> None:

@@ -154,14 +154,13 @@ def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
     """
     said = set()
     for gained, begun in zip((on_time_s - on_time_s[0]).T, (pulses - pulses[0]).T, strict=True):
-        if len(np.unique(gained)) < LEAST_VALUES:
-            continue
-        if not np.any(begun > 0.0):  # one pulse that goes on
-            continue
-        width = float(np.median(gained[begun > 0.0] / begun[begun > 0.0]))
-        fired = gained / width if width > 0.0 else np.full(len(gained), 0.5)
-        whole = np.abs(fired - np.round(fired)) * width < _SLACK
-        said.add(bool(np.all(whole & (np.abs(np.round(fired) - begun) <= 1.0))))
+        begins = begun > 0.0
+        if len(np.unique(gained)) < LEAST_VALUES or not begins.any():
+            continue  # too few readings, or one pulse that goes on
+        width = float(np.median(gained[begins] / begun[begins]))
+        fired = np.round(gained / max(width, _SLACK))
+        whole = np.abs(gained - fired * width) < _SLACK
+        said.add(bool(np.all(whole & (np.abs(fired - begun) <= 1.0))))
     return said == {True}
 
 

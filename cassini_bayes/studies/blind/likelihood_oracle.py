@@ -88,7 +88,7 @@ def _ridges(joint: Hypothesis, d: int) -> Array:
     moves = np.zeros((len(space.names), len(space.names) - d))
     moves[d:] = np.eye(len(space.names) - d)
     of_effects = [p for effect in joint.effects for p in effect.parameters]
-    scales = {p.name: (p.key, p.distribution.scale) for p in of_effects if p.is_departure}
+    scales = {p.name: (p.baseline, p.distribution.scale) for p in of_effects if p.is_departure}
     for column, name in enumerate(space.names[d:]):
         key, scale = scales.get(name, ("", 0.0))
         if key in space.names[:d]:

@@ -184,7 +184,7 @@ def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, fl
         values = hidden_oscillation(values)[1]
     return np.array(
         [
-            (values[p.key] - (truth[p.key] if p.is_departure else _null(p.key)))
+            (values[p.key] - (truth[p.baseline] if p.is_departure else _null(p.key)))
             / p.distribution.scale
             for p in effect.parameters
             if p.distribution.name != "lognorm"

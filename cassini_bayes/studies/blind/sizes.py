@@ -171,7 +171,7 @@ def hide(path: Growth, s: float, truth: Mapping[str, float], sigma: float) -> Hi
         if not low <= value <= high:
             return None
         if parameter.is_departure:
-            value += truth[parameter.key]
+            value += truth[parameter.baseline]
         if parameter.key.endswith("inertia_kg_m2") and value <= 0.0:
             return None
         parameters[parameter.key] = float(value)
