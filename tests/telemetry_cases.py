@@ -189,6 +189,22 @@ class PlainRows:
         return [step for step in steps if min(int(parts * step.time), PARTS - 1) == part]
 
 
+class PlainOpen(NamedTuple):
+    """Share of close pulses, and the factor on what coarse counters leave open."""
+
+    close: float
+    factor: float
+
+    @staticmethod
+    def of(values: Mapping[str, float]) -> PlainOpen:
+        """At these values of the parameters."""
+        return PlainOpen(values["close_pulse_share"], values.get("open_counter_factor", 1.0))
+
+    def of_columns(self, term: TelemetryTerm) -> float:
+        """The factor for one event: counters in steps of more than 3 ms have it."""
+        return self.factor if term.event.statistics.counters.step_s > 0.003 else 1.0
+
+
 @dataclass(frozen=True)
 class PlainStep:
     """A step at a time: how many pairs may be close, its nominal variance over that of a pair."""
@@ -198,12 +214,12 @@ class PlainStep:
     size: float
     unlike: PlainFiring | None
 
-    def variance(self, pair_s2: float, pulses: PlainPulses) -> float:
-        """Variance, s²."""
+    def variance(self, pair_s2: float, pulses: PlainPulses, factor: float = 1.0) -> float:
+        """Variance, s², with a factor on that of unlike pulses."""
         result = self.pairs * pair_s2
         if self.unlike is not None:
             mean = self.unlike.seconds / self.unlike.count
-            result += pulses.scatter(mean, self.unlike.count)
+            result += factor * pulses.scatter(mean, self.unlike.count)
         return result
 
 
@@ -515,7 +531,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     inertia = inertia_tensor(values)
     weights = wheel_weights(model.spacecraft, values)
     arms = lever_arms(model.spacecraft, model.branch, values)
-    close = values["close_pulse_share"]
+    open_ = PlainOpen.of(values)
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
     for term in model.telemetry:
         samples = Samples.joined(list(term.event.rows))
@@ -527,7 +543,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         white = values["rate_noise_rad_s"] ** 2 * inertia @ inertia
         white = white + values["attitude_noise_rad"] ** 2 * spin
         wheels, wheel_noise = np.array(rows.wheels), (values["wheel_noise_rpm"] * RPM) ** 2
-        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau, close)
+        own, columns, mean = _unknowns(model, term, samples, rows, arms, tau, open_)
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking, total = y, np.zeros((3 * n, 3 * n))
@@ -543,7 +559,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
             size = round(np.trace(share))
             white = (
                 row_white
-                + plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
+                + plain_open(model, term, rows, arms, tau, open_, share, np.array(rows.times))
                 / size
             )
             if is_slow or not fires:
@@ -582,7 +598,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 shared_noise = summed * by_wheels + walked * drift_square * np.eye(3)
                 on_slopes = share[: len(turns.times), : len(turns.times)]
                 open_square = plain_open(
-                    model, term, rows, arms, tau, close, on_slopes, turns.times, turns.ramps
+                    model, term, rows, arms, tau, open_, on_slopes, turns.times, turns.ramps
                 )
                 shared_noise = shared_noise + open_square / np.trace(share)
                 of_gyro = gyro @ np.linalg.inv(gyro + shared_noise)
@@ -655,7 +671,7 @@ def _flat_measure(
     fixed = dict(values) | reference_noise(term)
     means, one = nominal_of(model), np.eye(3)
     tau = (means["tau_delay_s"], means["tau_rise_s"], means["tau_fall_s"])
-    close, arms = means["close_pulse_share"], lever_arms(model.spacecraft, model.branch, means)
+    open_, arms = PlainOpen.of(means), lever_arms(model.spacecraft, model.branch, means)
     inertia = inertia_tensor(values)
     weights = wheel_weights(model.spacecraft, values)
     by_wheels = (fixed["wheel_noise_rpm"] * RPM) ** 2 * weights @ weights.T
@@ -669,7 +685,7 @@ def _flat_measure(
         if fires and not is_slow:
             result += size * np.linalg.slogdet(inertia)[1]
             continue
-        left_open = plain_open(model, term, rows, arms, tau, close, share, np.array(rows.times))
+        left_open = plain_open(model, term, rows, arms, tau, open_, share, np.array(rows.times))
         own = white + left_open / size
         values_of, vectors = np.linalg.eigh(share)
         basis = np.kron(vectors[:, values_of > 0.5], one)
@@ -684,7 +700,7 @@ def _flat_measure(
     gyro = fixed["rate_noise_rad_s"] ** 2 * inertia @ inertia
     for share, summed, walked, _ in turns.bands:
         slopes = share[: len(turns.times), : len(turns.times)]
-        left = plain_open(model, term, rows, arms, tau, close, slopes, turns.times, turns.ramps)
+        left = plain_open(model, term, rows, arms, tau, open_, slopes, turns.times, turns.ramps)
         shared = summed * by_wheels + walked * drift_square * one + left / np.trace(share)
         of_gyro = summed * gyro @ np.linalg.inv(summed * gyro + shared)
         noise = attitude + summed * (gyro - of_gyro @ gyro)  # of what turn and gyro differ by
@@ -772,7 +788,7 @@ def _unknowns(
     rows: PlainRows,
     arms: Array,
     tau: tuple[float, ...],
-    close: float,
+    open_: PlainOpen,
 ) -> tuple[list[Array], Array, Array]:
     """Columns of unit-variance unknowns and of thrusts (3 n, K); mean (n, 3) of the former."""
     n, thrusters = len(rows.times), arms.shape[1]
@@ -786,7 +802,7 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    lost, scattered = plain_lost(term, tau, close)
+    lost, scattered = plain_lost(term, tau, open_.close)
     counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
@@ -803,7 +819,7 @@ def _unknowns(
             if steps:
                 whole = sum(one.size for one in steps)
                 cut = sum(one.size * (np.array(rows.times) >= one.time) for one in steps) / whole
-                each = (scattered**2, plain_pulses(sampling, tau))
+                each = (scattered**2, plain_pulses(sampling, tau), open_.of_columns(term))
                 scatter = np.sqrt(sum(one.variance(*each) for one in steps))
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     return own, columns, mean
@@ -822,7 +838,7 @@ def plain_open(
     rows: PlainRows,
     arms: Array,
     tau: tuple[float, ...],
-    close: float,
+    open_: PlainOpen,
     share: Array,
     times: Array,
     ramps: Array | float = 1.0,
@@ -835,12 +851,12 @@ def plain_open(
     if not rows.shots:
         return total
     sampling = term.event.sampling
-    _, scattered = plain_lost(term, tau, close)
+    _, scattered = plain_lost(term, tau, open_.close)
     counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
         square = 0.0
-        each = (scattered**2, plain_pulses(sampling, tau))
+        each = (scattered**2, plain_pulses(sampling, tau), open_.of_columns(term))
         for part in range(PARTS):
             steps = rows.steps_of(g, part, sampling)
             whole = sum(one.size for one in steps)
@@ -852,6 +868,7 @@ def plain_open(
         ends = [ramps * np.ones(len(times))]
         ends += [slopes[t] * ramps * (times >= t) for t, own in rows.shots if own == g]
         levels = np.column_stack([a - b for a, b in pairwise([*ends, 0.0 * times])])
+        levels *= np.sqrt(open_.of_columns(term))
         apart = np.diff(np.eye(levels.shape[1]), axis=0)
         last = levels.shape[1] - 1
         seen = np.zeros(last + 1)

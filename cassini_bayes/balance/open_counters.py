@@ -46,7 +46,8 @@ class OpenScales(NamedTuple):
 
     torque_n_m: Array  # (n, 3, G) of every couple
     lost: LostTails  # by a pair that may be close
-    pulse_weights: Array  # (n, C) of the pulse columns
+    # (n, C) of the pulse columns, times the root of the factor on what is left open of them
+    pulse_weights: Array
 
     def variance_s2(self, pairs: Array, columns: Array) -> Array:
         """Variances (n, …) of so many ``pairs`` (…), and of columns that scatter (…, C, C)."""

@@ -22,7 +22,7 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR
 from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 
 Parameters = Mapping[str, Array | float]
@@ -54,6 +54,7 @@ class Physics:
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
     late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows, or cut there
+    open_factor: Array | float = 1.0  # (...) on the variance of what coarse counters leave open
     thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
     impulse_offset_s: Array | float = 0.0  # (..., K) by which every pulse lasts longer
     steady_torque_n_m: Array | float = 0.0  # (..., 3) beyond the collapsed external torque
@@ -100,6 +101,7 @@ def physics_of(
         tau_s=(delay, rise, fall),
         close_share=parameters.get(CLOSE_SHARE, zero) if fires else zero,
         late_factor=parameters.get(LATE_FACTOR, np.ones(())),
+        open_factor=parameters.get(OPEN_FACTOR, np.ones(())),
         rate_bias_rad_s=_rate_bias(parameters),
     )
     for modify in modifiers:

@@ -227,7 +227,8 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
 
     Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
     Where rows have late pulses, what pairs scatter has the factor that is inferred of what is late:
-    of thrusters that fire all the time pairs are no independent draws.
+    of thrusters that fire all the time pairs are no independent draws. What coarse counters leave
+    open has a factor, too.
     """
     n = len(physics.inertia_kg_m2)
     if not event.fires:
@@ -238,6 +239,8 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
     gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
     offset = mean_offset(physics, n)
     pulse = event.sampling.pulses.of_thrusters(physics.tau_s, offset[:, None])[:, 0]
+    if event.statistics.counters.are_coarse:
+        pulse = pulse * np.sqrt(np.reshape(physics.open_factor, (-1, 1)))
     lost = lost_tails(gaps, event.sampling.control_cycle_s, tail, fall, share, offset)
     if event.late is not None:
         lost = lost._replace(variance_s2=physics.late_factor * lost.variance_s2)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -28,18 +27,10 @@ from cassini_bayes.diagnosis.innovations import effect_momentum, examined, left_
 from cassini_bayes.diagnosis.modes import LOG_2_PI
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode
 
-COARSE_STEP_S: Final = 3e-3
-"""Steps below which band and columns agree: with 1 ms the truth of a flight is 13 nats below the
-highest density by either (docs/results/likelihood-experiments.md)."""
-
 
 def has_coarse_counters(hypothesis: Hypothesis) -> bool:
     """Whether some event has counters in coarse steps, and any width of pulses."""
-    return any(
-        float(np.sqrt(12.0 * term.balance.statistics.counters.open_s2.max(initial=0.0)))
-        > COARSE_STEP_S
-        for term in hypothesis.model.telemetry
-    )
+    return any(term.balance.statistics.counters.are_coarse for term in hypothesis.model.telemetry)
 
 
 def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:

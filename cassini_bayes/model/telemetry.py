@@ -66,7 +66,7 @@ from cassini_bayes.model.terms import (
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS, OPEN_FACTOR
 
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
@@ -399,11 +399,13 @@ def telemetry_parameters(
     has_delta_v: bool = False,
     has_accelerometer: bool = False,
     has_late_pulses: bool = False,
+    has_coarse_counters: bool = False,
 ) -> tuple[str, ...]:
     """Names of the parameters that an event needs, in the order in which they are walked.
 
     ``has_delta_v``: its velocity change was measured; ``has_accelerometer``: in counts;
-    ``has_late_pulses``: hardly a row is without firing.
+    ``has_late_pulses``: hardly a row is without firing; ``has_coarse_counters``: their steps leave
+    on-times open.
     """
     names = [*INERTIA_PARAMETERS, *NOISE_LEVELS]
     names += shared.spacecraft.wheel_parameters(wheels)
@@ -413,6 +415,8 @@ def telemetry_parameters(
         names += shared.thrust_prior.walked
     if has_late_pulses:
         names.append(LATE_FACTOR)
+    if has_coarse_counters:
+        names.append(OPEN_FACTOR)
     if has_delta_v:
         names += DELTA_V_PARAMETERS
     if has_accelerometer:
@@ -450,6 +454,7 @@ def _term(event: ReducedEvent, priors: Priors, shared: Shared) -> TelemetryTerm:
         has_delta_v=event.delta_v is not None,
         has_accelerometer=event.accelerometer is not None,
         has_late_pulses=event.statistics.counters.has_late_pulses,
+        has_coarse_counters=event.statistics.counters.are_coarse,
     )
     priors.require(names, "the model of these events")
     if event.fires and priors.parameters["tau_delay_s"].distribution is not None:

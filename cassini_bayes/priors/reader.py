@@ -28,6 +28,7 @@ from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import (
     CLOSE_SHARE,
     LATE_FACTOR,
+    OPEN_FACTOR,
     ParameterSpec,
     generic_parameters,
 )
@@ -60,6 +61,7 @@ TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 _OF_CONTROLLERS: Final = {
     CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 0.6}),
     LATE_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
+    OPEN_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.0}),
 }
 
 

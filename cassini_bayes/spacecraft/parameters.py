@@ -24,6 +24,7 @@ EFFECT_BLOCK: Final = "effect"
 
 CLOSE_SHARE: Final = "close_pulse_share"
 LATE_FACTOR: Final = "late_pulse_factor"
+OPEN_FACTOR: Final = "open_counter_factor"
 NOISE_LEVELS: Final = (
     "rate_noise_rad_s",
     "wheel_noise_rpm",
@@ -103,6 +104,8 @@ _GENERIC: Final = (
         close_pulse_share="share of pulses within a second that start one control cycle apart",
         late_pulse_factor="variance of what is still to be delivered when counters are read, over "
         "that of pulses at any time; where hardly a row is without firing",
+        open_counter_factor="variance of on-times that rounded counters leave open, over what "
+        "their readings say of it; where counters have coarse steps",
     ),
     *_specs(
         "inertia",

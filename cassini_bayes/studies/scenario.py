@@ -45,7 +45,7 @@ from cassini_bayes.simulation import (
     truth_fields,
     truth_text,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 TRUTH_FILE: Final = "truth.json"
@@ -147,7 +147,7 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
     if priors is not None:
         _check_priors(file, priors)
         draw, known = partial(_draw, priors, seed), priors.parameters
-        kept = {*given, *ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR}
+        kept = {*given, *ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR}
         drawn = {name: draw(name) for name in known if name not in kept}
         if not individual and "thrust_individual_n" in known:
             individual = {k: draw("thrust_individual_n", k) for k in thrusters}

@@ -52,6 +52,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
         1.0,
         0.0,
         np.zeros(1),
+        0.0,
     )
 
 

@@ -9,6 +9,7 @@ from cassini_bayes.balance.statistics.counters import expected_on_times
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
+    begin_with_cycles,
     channel_step,
     close_gaps,
     single_widths,
@@ -82,3 +83,33 @@ def test_few_values_one_step_apart_tell_the_step() -> None:
     assert channel_step(rest[1:3]) == 0.0
     assert channel_step(rest + 0.3) == 0.0
     assert channel_step(1.7 * rest) == 0.0
+
+
+@pytest.mark.parametrize("step", [0.001, 0.01])
+@pytest.mark.parametrize("phase_s", [0.0, 0.062])
+def test_readings_that_cut_pulses_tell_whether_they_begin_with_cycles(
+    step: float, phase_s: float
+) -> None:
+    """Begun with control cycles or at any millisecond: some ten of 300 pulses are cut, and say so.
+
+    Close pulses then follow at any time in what is left of the cycle. Where none is cut nothing
+    speaks against cycles.
+    """
+    rng = np.random.default_rng(11)
+    time_s = np.arange(1200.0)
+    for with_cycles in (True, False):
+        begins = np.sort(rng.choice(9_000, 300, replace=False)) * CYCLE_S + phase_s
+        if not with_cycles:
+            begins = begins + rng.uniform(0.0, CYCLE_S, 300)
+        widths = rng.uniform(0.03, 0.12, 300)
+        on = np.clip(time_s[:, None] - begins, 0.0, widths).sum(axis=1)[:, None]
+        pulses = (time_s[:, None] >= begins).sum(axis=1)[:, None].astype(float)
+        shown = step * np.round(on / step)
+        assert begin_with_cycles(time_s, shown, pulses, step, CYCLE_S) is (with_cycles), (
+            step,
+            phase_s,
+        )
+        assert begin_with_cycles(time_s[:50], shown[:50], pulses[:50], step, CYCLE_S)
+    usual = np.array(close_gaps(widths, step, CYCLE_S))
+    free = np.array(close_gaps(widths, step, CYCLE_S, with_cycles=False))
+    assert free.mean() == pytest.approx(0.5 * usual.mean(), rel=0.05)

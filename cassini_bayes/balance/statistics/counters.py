@@ -31,7 +31,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cholesky_banded, solveh_banded
 
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Flags, Places
 
 # Least step that counts as rounding, s: what is finer leaves a hundredth of a rate sample's noise.
 LEAST_STEP_S: Final = 5e-4
@@ -48,6 +48,12 @@ LEAST_WEIGHT: Final = 1e-3  # of a spread that is tried again in the next round
 NEARBY: Final = 2  # spreads beside these that are tried as well
 LEAST_LIKELIHOOD: Final = 1e-300  # beside the best: of a spread that is out of question
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
+COMPANY_ROUNDS: Final = 2  # of widths by company, and of spreads beside them
+COMPANY_STEPS: Final = 20  # of expectation and maximisation, of the scatter between companies
+LEAST_TOGETHER: Final = 3  # firings in one company, for a width of their own
+LEAST_SCATTER: Final = 1e-4  # between companies, over σ²: one of no size has no precision
+HARMONICS: Final = 6  # of a rounding: 90 % of its variance, and all that lasts
+LEAST_LASTING: Final = 0.2  # of it over long times: widths are not quite what is expected
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
 
@@ -67,21 +73,18 @@ class OnTimes:
 class Rounding:
     """What a rounded counter leaves open of its levels: precision (1 + Dᵀ Q⁻¹ D)/σ².
 
-    ``variance_s2`` is σ², none of a counter that is known; ``ratio`` (m − 1,) is Q, the variance
+    ``step_s`` is the step of the counter, 0 where it is known, ``variance_s2`` is σ²: step²/12
+    where roundings owe nothing to each other. ``ratio`` (m − 1,) is Q, the variance
     over σ² of what is gained in every interval between two readings, of no length where nothing is
     known of the widths. The 1 is there for about every ``every``-th level alone
     (:func:`read_levels`). ``width_s`` is the mean width of a pulse.
     """
 
+    step_s: float = 0.0
     variance_s2: float = 0.0
     ratio: Array = field(default_factory=lambda: np.zeros(0))
     every: float = 1.0
     width_s: float = np.inf
-
-    @property
-    def step_s(self) -> float:
-        """Step of the counter, 0 where it is known."""
-        return float(np.sqrt(12.0 * self.variance_s2))
 
     @property
     def unsure_s2(self) -> float:
@@ -248,22 +251,126 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
     change, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
     fired = [firings(*each) for each in zip(change.T, begun.T, strict=True)]
     telling = [k for k, own in enumerate(fired) if len(own.seconds) >= LEAST_RUNS]
-    rounding = step_s**2 / 12.0
+    white = step_s**2 / 12.0
     result = np.array(on_time_s, dtype=np.float64)
-    left = [Rounding(rounding) if len(own.active) > 0 else KNOWN for own in fired]
-    spreads = _spreads([fired[k] for k in telling], rounding)
-    for k, own in zip(telling, spreads, strict=True):
-        gained, left[k] = _gained(fired[k], own, change[:, k], begun[:, k], rounding)
+    left = [Rounding(step_s, white) if len(own.active) > 0 else KNOWN for own in fired]
+    company = _company((change > 0.0) | (begun > 0.0), fired)
+    told = _spreads_by_company([fired[k] for k in telling], [company[k] for k in telling], white)
+    for k, (spreads, longer) in zip(telling, told, strict=True):
+        own = fired[k], longer, change[:, k], begun[:, k]
+        gained, _ = _gained(*own, spreads, step_s, white)
+        lasting = _lasting(fired[k], gained, white * spreads, step_s)
+        gained, left[k] = _gained(*own, spreads / lasting, step_s, white * lasting)
         result[1:, k] = on_time_s[0, k] + np.cumsum(gained)
     return OnTimes(result, tuple(left))
 
 
+def _company(fires: Flags, fired: Sequence[Firings]) -> list[Places]:
+    """With which thrusters each thruster's firings (R,) came, as a number for every such set.
+
+    ``fires`` (m, K) tells in which intervals each did.
+    """
+    bits = fires @ (1 << np.arange(fires.shape[1], dtype=np.int64))
+    sets = []
+    for own in fired:
+        together = np.zeros(len(own.seconds), dtype=np.int64)
+        np.bitwise_or.at(together, own.number, bits[own.active])
+        sets.append(np.unique(together, return_inverse=True)[1])
+    return sets
+
+
+def _spreads_by_company(
+    fired: Sequence[Firings], company: Sequence[Places], rounding: float
+) -> list[tuple[Array, Array]]:
+    """Variances (R,) over σ² (:func:`_spreads`) of firings beside what is usual in their company.
+
+    With each how much longer (R,), s, a firing is for it (:func:`_longer`).
+    """
+    spreads = _spreads(fired, rounding)
+    longer = [np.zeros_like(own.seconds) for own in fired]
+    for _ in range(COMPANY_ROUNDS):
+        each = zip(fired, spreads, company, strict=True)
+        longer = [_longer(own, spread, sets, rounding) for own, spread, sets in each]
+        beside = [
+            own._replace(seconds=own.seconds - more)
+            for own, more in zip(fired, longer, strict=True)
+        ]
+        spreads = _spreads(beside, rounding)
+    return list(zip(spreads, longer, strict=True))
+
+
+def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> Array:
+    """By how much firings (R,) are longer than usual, by what thrusters they came with, s.
+
+    Pulses about one axis are alike, and a thruster serves several. Those of a set of thrusters last
+    γ longer than all, γ Gaussian about 0 with a variance that is inferred by expectation and
+    maximisation. With A the covariance of firings and Z their pulses by sets,
+
+        (Zᵀ A⁻¹ Z + 1/γ²) γ = Zᵀ A⁻¹ (u − n w).
+    """
+    number = np.bincount(company, minlength=1)
+    usual = np.flatnonzero(number >= LEAST_TOGETHER)
+    if len(number) < 2 or len(usual) == 0:
+        return np.zeros_like(own.seconds)
+    sets = own.pulses[:, None] * (company[:, None] == usual)
+    solved = _solve(sets, spreads, rounding)
+    gram, by_count = sets.T @ solved, solved.T @ own.pulses
+    square, unit = rounding, np.eye(len(usual))
+    for _ in range(COMPANY_STEPS):
+        covariance = np.linalg.inv(gram + unit / square)
+        # the mean width, by generalised least squares with the sets' scatter in the covariance
+        beside = own.pulses - sets @ (covariance @ by_count)
+        weights = _solve(beside, spreads, rounding)
+        width = float(weights @ own.seconds / (weights @ own.pulses))
+        gamma = covariance @ (solved.T @ own.seconds - width * by_count)
+        square = max(float(np.mean(gamma**2 + np.diag(covariance))), LEAST_SCATTER * rounding)
+    return np.asarray(sets @ gamma)
+
+
+def _lasting(fired: Firings, gained: Array, variance_s2: Array, step_s: float) -> float:
+    """Variance of roundings over long times, over that of independent ones.
+
+    The rounding of C is a sawtooth; its harmonic h has the share 6/(πh)² of the variance. From one
+    reading to another the on-times gain D, with variances v: the correlation is
+    Σ_h 6/(πh)² exp(−2π²h²v/step²) cos(2πhD/step). Widths that are nearly multiples of the step and
+    hardly scatter leave the same rounding again and again.
+
+    Parameters
+    ----------
+    gained
+        (m,) on-times expected of the counter intervals, s.
+    variance_s2
+        (R,) of the firings' on-times.
+    """
+    gain = np.bincount(fired.number, gained[fired.active])
+    order = np.arange(1, HARMONICS + 1)
+    share = 6.0 / (np.pi * order) ** 2
+    phase = 2.0 * np.pi * order * gain[:, None] / step_s
+    kept = np.exp(-0.5 * (2.0 * np.pi * order / step_s) ** 2 * variance_s2[:, None] + 1j * phase)
+    before, total = np.zeros(HARMONICS, dtype=np.complex128), 0.0
+    for one in kept:
+        before = one * (before + 1.0)
+        total += float(share @ before.real)
+    return max(1.0 + 2.0 * total / (len(kept) + 1), LEAST_LASTING)
+
+
 def _gained(
-    fired: Firings, spreads: Array, change: Array, begun: Array, rounding: float
+    fired: Firings,
+    longer: Array,
+    change: Array,
+    begun: Array,
+    spreads: Array,
+    step_s: float,
+    rounding: float,
 ) -> tuple[Array, Rounding]:
-    """On-times (m − 1,) expected of a thruster's counter intervals, and what stays open."""
-    active, run, seconds, count = fired
-    mean = float(seconds.sum() / count.sum())
+    """On-times (m − 1,) expected of a thruster's counter intervals, and what stays open.
+
+    ``longer`` (R,) is what is usual of firings beside their pulses of one width, s, ``rounding``
+    the variance of a rounding over long times, s².
+    """
+    active, run, shown_s, count = fired
+    seconds = shown_s - longer
+    mean = float(shown_s.sum() / count.sum())
     every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (mean * count.mean()))
     starts = read_levels(len(seconds) + 1, every)[:-1]
     together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
@@ -272,13 +379,13 @@ def _gained(
     sums = pulses * width + _departing(together, pulses, width, own, rounding)
     within = count * width + _departing(seconds, count, width, spreads, rounding)
     lacking = (sums - np.add.reduceat(within, starts)) / pulses
-    expected = within + count * np.repeat(lacking, np.diff(starts, append=len(seconds)))
+    expected = within + count * np.repeat(lacking, np.diff(starts, append=len(seconds))) + longer
     # Within a run by what the readings show; a run too short to show anything, by its pulses.
-    shown = np.where(seconds[run] > 0.0, change[active], begun[active])
+    shown = np.where(shown_s[run] > 0.0, change[active], begun[active])
     share = shown / np.bincount(run, shown)[run]
     gained, ratio = np.zeros_like(change), np.zeros_like(change)
     gained[active], ratio[active] = expected[run] * share, spreads[run] * share
-    return gained, Rounding(rounding, ratio, every, mean)
+    return gained, Rounding(step_s, rounding, ratio, every, mean)
 
 
 def _spreads(fired: Sequence[Firings], rounding: float) -> list[Array]:

@@ -32,6 +32,9 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
+LEAST_CUT: Final = 8  # pulses that readings cut, to tell whether they begin with cycles (judgement)
+ALIKE: Final = 0.85  # of them, that begin the same time into a cycle where all pulses do
+SLACK_S: Final = 1e-3  # of the times of readings
 QUANTILES: Final = 12  # that stand for all gaps
 WIDTHS: Final = 48  # that stand for all widths
 # Rows between firings per row at a reading: with fewer, all that are at readings tell more.
@@ -110,7 +113,9 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         return Prepared(Preparation(steps, noise), time, on_time, pulses, end_s)
     step_s = counter_step(on_time, pulses)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
-    gaps = close_gaps(single_widths(on_time, on_time, pulses), step_s, control_cycle_s)
+    singles = single_widths(on_time, on_time, pulses)
+    with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
+    gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
     widths = _typical(single_widths(expected.on_time_s, on_time, pulses))
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
@@ -152,7 +157,40 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
 
-def close_gaps(widths_s: Array, step_s: float, control_cycle_s: float) -> tuple[float, ...]:
+def begin_with_cycles(
+    time_s: Array, on_time_s: Array, pulses: Array, step_s: float, control_cycle_s: float
+) -> bool:
+    """Whether pulses may be taken to begin with control cycles, and not at any time.
+
+    A reading that cuts a pulse tells when it began: on-time is gained after it without a pulse that
+    begins, and before it as much as the pulse had lasted. Where pulses begin with cycles, all such
+    readings are the same time into a cycle. Where less than :data:`LEAST_CUT` were cut nothing
+    speaks against it.
+
+    Parameters
+    ----------
+    time_s
+        (m,) of the readings around every change.
+    on_time_s, pulses
+        (m, K) readings.
+    step_s
+        Of the on-times.
+    """
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    cut = (gained[1:] > 0.0) & (begun[1:] == 0.0) & (begun[:-1] == 1.0)
+    lasted = gained[:-1][cut]
+    read = np.broadcast_to(time_s[1:-1, None], cut.shape)[cut]
+    if control_cycle_s == 0.0 or len(lasted) < LEAST_CUT:
+        return True
+    phase = np.exp(2j * np.pi * (read - lasted) / control_cycle_s)
+    # alike but for a rounding at either end
+    turn = np.angle(phase / np.mean(phase)) * control_cycle_s / (2.0 * np.pi)
+    return bool(np.mean(np.abs(turn) <= step_s + SLACK_S) > ALIKE)
+
+
+def close_gaps(
+    widths_s: Array, step_s: float, control_cycle_s: float, *, with_cycles: bool = True
+) -> tuple[float, ...]:
     """Times, all as likely, from the end of a pulse to that of its control cycle.
 
     By then the next pulse may begin: after a pulse of 40 ms in a cycle of 125 ms within 85 ms.
@@ -165,6 +203,8 @@ def close_gaps(widths_s: Array, step_s: float, control_cycle_s: float) -> tuple[
         Of single pulses.
     step_s
         Of the on-times, which may hide that a pulse fills its cycle.
+    with_cycles
+        Else the next pulse begins at any time until then (:func:`begin_with_cycles`).
     """
     if control_cycle_s == 0.0:
         return ()
@@ -172,6 +212,8 @@ def close_gaps(widths_s: Array, step_s: float, control_cycle_s: float) -> tuple[
     slack = max(step_s, _SAME * control_cycle_s)
     fills = (into < slack) | (into > control_cycle_s - slack)
     gaps = np.where(fills, control_cycle_s, control_cycle_s - into)
+    if not with_cycles and len(gaps) >= LEAST_ALONE:
+        gaps = np.outer(gaps, (np.arange(QUANTILES) + 0.5) / QUANTILES).ravel()
     return _quantiles(gaps)
 
 
