@@ -307,6 +307,24 @@ def test_where_thrusters_fire_what_is_likelier_must_close_the_balance_better(
         assert [each.mistake for each in found] == mistakes
 
 
+def test_a_wheel_at_rest_has_no_factor(honest: dict[str, Event]) -> None:
+    """One that shows a value and its neighbours: what seems to move is its rounding.
+
+    A drift of half a step looks five times as large where its noise is a twelfth of a step, and a
+    factor of 0.64 closed the balance of an honest flight. A wheel that turns keeps its factor.
+    """
+    event, chunk = honest["slew"]
+    rows = evidence_of(event, chunk).rows
+    assert rows is not None
+    resting = rows.wheel_rpm.copy()
+    resting[:, 1] = np.where(np.arange(len(resting)) % 5 < 2, -346.0, -345.0)
+    given = evidence_of(event, chunk)
+    for wheel_rpm, scaled in ((rows.wheel_rpm, [0, 1, 2]), (resting, [0, 2])):
+        own = replace(rows, wheel_rpm=wheel_rpm)
+        found = of_wheels(given.as_recorded, given.nominal, event.wheels, own)
+        assert [w for each in found for w in each.correction.wheel_factor] == scaled
+
+
 def test_wheels_beside_a_body_at_rest_have_no_order(
     honest: dict[str, Event], monkeypatch: pytest.MonkeyPatch
 ) -> None:

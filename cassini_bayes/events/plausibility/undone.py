@@ -30,6 +30,7 @@ WHEEL_UNITS: Final = {
 }
 LEAST_FACTOR_STEP: Final = 0.15
 """A free factor closer to 1 is a departure, no mistake: three widths of `wheel_inertia`'s prior."""
+RESTING: Final = 3  # printed values of a wheel at rest: one, its neighbours, and no motion
 LEAST_FACTOR: Final = 1e-3
 """Of a wheel: with less the column says nothing."""
 
@@ -66,7 +67,8 @@ def of_wheels(
 ) -> Iterator[Undone]:
     """Orders, signs and units of wheels; a factor, a constant error or a jump of each.
 
-    ``nothing`` corrects nothing; a wheel jumps where it jumps most in ``rows``.
+    ``nothing`` corrects nothing; a wheel jumps where it jumps most in ``rows``. One that rests, and
+    shows :data:`RESTING` values at most, has no factor: what changes is its rounding.
     """
     count, jumps_s = len(wheels), rows.time_s[largest_jumps(rows.wheel_rpm)]
     columns = [f"{name}_rpm" for name in nominal.wheel_names]
@@ -88,10 +90,11 @@ def of_wheels(
         yield Undone("wheel-unit", what, fix, replace(nothing, wheel=factor * np.eye(count)))
     for w, (number, column) in enumerate(zip(wheels, columns, strict=True)):
         rate = f"a rate of wheel {number}"
-        scaled = replace(nothing, wheel_factor=(w,))
-        what = f"{rate} that has to be multiplied by {{factor:.4g}}"
-        fix = f"check the unit and scale of {column}"
-        yield Undone("wheel-factor", what, fix, scaled, FREE_PRICE)
+        if len(np.unique(rows.wheel_rpm[:, w])) > RESTING:
+            scaled = replace(nothing, wheel_factor=(w,))
+            what = f"{rate} that has to be multiplied by {{factor:.4g}}"
+            fix = f"check the unit and scale of {column}"
+            yield Undone("wheel-factor", what, fix, scaled, FREE_PRICE)
         moved = replace(nothing, offset=nominal.spins[:, [w]])
         what = f"{rate} with a constant error"
         yield Undone("wheel-offset", what, f"check the zero of {column}", moved, FREE_PRICE)
