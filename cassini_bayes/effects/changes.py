@@ -41,7 +41,10 @@ def with_more(physics: Physics, **added: Array) -> Physics:
 def with_moved_axes(
     physics: Physics, parameters: Parameters, values: Values, setting: Setting
 ) -> Physics:
-    """The target's axis where the baseline's tilts and angle and the departures together put it."""
+    """The target's axis where the baseline's tilts and angle and the departures together put it.
+
+    What another effect has moved it by is added, to first order.
+    """
     craft, number = setting.spacecraft, int(setting.target)
     named = craft.wheel(number).by_key
     moved = {
@@ -49,7 +52,9 @@ def with_moved_axes(
     }
     # another wheel may share the parameter, and stays where it is
     is_target = np.array(craft.wheel_numbers) == number
-    axes = wheel_axes(craft, {**parameters, **moved})
+    change = wheel_axes(craft, {**parameters, **moved}) - wheel_axes(craft, parameters)
+    axes = physics.wheel_axes + change
+    axes = axes / np.linalg.norm(axes, axis=-2, keepdims=True)
     return replace(physics, wheel_axes=np.where(is_target, axes, physics.wheel_axes))
 
 

@@ -77,11 +77,11 @@ def test_a_turned_platform_is_its_angle_moved_and_nearly_a_tilt() -> None:
     idle = dict.fromkeys(priors.spacecraft.wheel_parameters(), np.zeros(1))
     point = {**idle, **means}
 
-    def weights(added: dict[str, float], name: str | None = None) -> np.ndarray:
+    def weights(added: dict[str, float], *names: str) -> np.ndarray:
         moved = {**point, **{k: point.get(k, np.zeros(1)) + v for k, v in added.items()}}
-        modifiers = ()
-        if name is not None:
-            modifiers = (catalogue.effect(name).modifier(priors.spacecraft, priors.branch),)
+        modifiers = tuple(
+            catalogue.effect(name).modifier(priors.spacecraft, priors.branch) for name in names
+        )
         return physics_of(priors.spacecraft, priors.branch, moved, modifiers).wheel_weights
 
     angle = "rwa4_articulation_rad"
@@ -101,6 +101,10 @@ def test_a_turned_platform_is_its_angle_moved_and_nearly_a_tilt() -> None:
     across = {tilt["rwa4_tilt_u_rad"]: 0.0, tilt["rwa4_tilt_v_rad"]: np.sqrt(2 / 3) * 1e-5}
     other = weights(across, "wheel_alignment:4") - weights({})
     assert np.abs(small - other).max() > 0.1 * np.abs(small).max()  # negative control
+    both = {turn[angle]: 1e-3, **across}
+    together = weights(both, "wheel_articulation:4", "wheel_alignment:4")
+    alone = weights(both, "wheel_articulation:4") + weights(both, "wheel_alignment:4") - weights({})
+    np.testing.assert_allclose(together, alone, atol=1e-8)  # neither takes the other's place
     assert not any(name.startswith("wheel_articulation") for name in CATALOGUE.names)
 
 
@@ -129,7 +133,8 @@ def test_effects_on_a_wheel_find_what_the_spacecraft_file_calls_its_parameters()
     assert width == pytest.approx(5 * priors.parameters["old_wheel_inertia_kg_m2"].sd)
     tilted = changed("wheel_alignment:5", 0.02).wheel_axes
     moved = {**point, "w5_tilt_u_rad": point["w5_tilt_u_rad"] + 0.02}
-    np.testing.assert_array_equal(tilted, physics_of(craft, priors.branch, moved).wheel_axes)
+    wanted = physics_of(craft, priors.branch, moved).wheel_axes
+    np.testing.assert_allclose(tilted, wanted, rtol=1e-14)
     assert np.abs(tilted - plain.wheel_axes).max() > 0.01
 
 
