@@ -214,7 +214,7 @@ class PlainStep:
     size: float
     unlike: PlainFiring | None
 
-    def variance(self, pair_s2: float, pulses: PlainPulses, factor: float = 1.0) -> float:
+    def variance(self, pair_s2: float, pulses: PlainPulses, factor: float) -> float:
         """Variance, s², with a factor on that of unlike pulses."""
         result = self.pairs * pair_s2
         if self.unlike is not None:

@@ -56,13 +56,14 @@ _NEGATIVE_MASS: Final = 1e-3
 
 TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 """What priors of telemetry have and those of totals have not."""
-# Of what controllers do: whether they fire before readings, or after them, is not known (the factor
-# is 1.0 to 1.3 in simulations whose readings are at control cycles).
-_OF_CONTROLLERS: Final = {
+# Whether controllers fire before readings, or after them, is not known (the second is 1.0 to 1.3 in
+# simulations whose readings are at control cycles), nor how much their widths scatter (the third).
+OF_CONTROLLERS: Final = {
     CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 0.6}),
     LATE_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
     OPEN_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.0}),
 }
+"""What controllers do and counters show: built in where a priors file lacks it; no truth has it."""
 
 
 @dataclass(frozen=True)
@@ -275,8 +276,8 @@ def read_priors(path: str | Path) -> Priors:
     spacecraft = _read_spacecraft(Path(path), table_of_file)
     parameters = _read_parameters(f"{path}: parameters", document.get("parameters"), spacecraft)
     if TELEMETRY_NOISE in parameters:
-        for name in sorted({*_OF_CONTROLLERS} - {*parameters}):
-            spec, prior = known_parameters(spacecraft)[name], _OF_CONTROLLERS[name]
+        for name in sorted({*OF_CONTROLLERS} - {*parameters}):
+            spec, prior = known_parameters(spacecraft)[name], OF_CONTROLLERS[name]
             source = "not in the file: any that controllers were seen to have"
             parameters[name] = ParameterPrior(spec, prior, None, source)
     wheels = _read_wheels(f"{path}: spacecraft.wheels", table_of_file.get("wheels"), spacecraft)

@@ -26,7 +26,7 @@ from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.checks import check_seed
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import read_toml
-from cassini_bayes.priors.reader import ZERO_CENTRED, Priors, read_priors
+from cassini_bayes.priors.reader import OF_CONTROLLERS, ZERO_CENTRED, Priors, read_priors
 from cassini_bayes.simulation import (
     TORQUE_NOISE,
     Effect,
@@ -45,7 +45,6 @@ from cassini_bayes.simulation import (
     truth_fields,
     truth_text,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 TRUTH_FILE: Final = "truth.json"
@@ -147,7 +146,7 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
     if priors is not None:
         _check_priors(file, priors)
         draw, known = partial(_draw, priors, seed), priors.parameters
-        kept = {*given, *ZERO_CENTRED, CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR}
+        kept = {*given, *ZERO_CENTRED, *OF_CONTROLLERS}
         drawn = {name: draw(name) for name in known if name not in kept}
         if not individual and "thrust_individual_n" in known:
             individual = {k: draw("thrust_individual_n", k) for k in thrusters}

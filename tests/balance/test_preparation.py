@@ -105,10 +105,7 @@ def test_readings_that_cut_pulses_tell_whether_they_begin_with_cycles(
         on = np.clip(time_s[:, None] - begins, 0.0, widths).sum(axis=1)[:, None]
         pulses = (time_s[:, None] >= begins).sum(axis=1)[:, None].astype(float)
         shown = step * np.round(on / step)
-        assert begin_with_cycles(time_s, shown, pulses, step, CYCLE_S) is (with_cycles), (
-            step,
-            phase_s,
-        )
+        assert begin_with_cycles(time_s, shown, pulses, step, CYCLE_S) is with_cycles
         assert begin_with_cycles(time_s[:50], shown[:50], pulses[:50], step, CYCLE_S)
     usual = np.array(close_gaps(widths, step, CYCLE_S))
     free = np.array(close_gaps(widths, step, CYCLE_S, with_cycles=False))

@@ -314,11 +314,11 @@ def test_a_wheel_at_rest_has_no_factor(honest: dict[str, Event]) -> None:
     factor of 0.64 closed the balance of an honest flight. A wheel that turns keeps its factor.
     """
     event, chunk = honest["slew"]
-    rows = evidence_of(event, chunk).rows
+    given = evidence_of(event, chunk)
+    rows = given.rows
     assert rows is not None
     resting = rows.wheel_rpm.copy()
     resting[:, 1] = np.where(np.arange(len(resting)) % 5 < 2, -346.0, -345.0)
-    given = evidence_of(event, chunk)
     for wheel_rpm, scaled in ((rows.wheel_rpm, [0, 1, 2]), (resting, [0, 2])):
         own = replace(rows, wheel_rpm=wheel_rpm)
         found = of_wheels(given.as_recorded, given.nominal, event.wheels, own)

@@ -258,13 +258,15 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
     white = step_s**2 / 12.0
     result = np.array(on_time_s, dtype=np.float64)
     left = [Rounding(step_s, white) if len(own.active) > 0 else KNOWN for own in fired]
-    company = _company((change > 0.0) | (begun > 0.0), fired)
-    told = _spreads_by_company([fired[k] for k in telling], [company[k] for k in telling], white)
+    company = _company((change > 0.0) | (begun > 0.0), [fired[k] for k in telling])
+    told = _spreads_by_company([fired[k] for k in telling], company, white)
     for k, (spreads, longer) in zip(telling, told, strict=True):
-        own = fired[k], longer, change[:, k], begun[:, k]
-        gained, _ = _gained(*own, spreads, step_s, white)
-        lasting = _lasting(fired[k], gained, white * spreads, step_s)
-        gained, left[k] = _gained(*own, spreads / lasting, step_s, white * lasting)
+        expected, _ = _expected(fired[k], longer, spreads, white)
+        lasting = _lasting(expected, white * spreads, step_s)
+        spreads, rounding = spreads / lasting, white * lasting
+        expected, every = _expected(fired[k], longer, spreads, rounding)
+        gained, ratio = _by_interval(fired[k], change[:, k], begun[:, k], expected, spreads)
+        left[k] = Rounding(step_s, rounding, ratio, every, _mean_pulse(fired[k]))
         result[1:, k] = on_time_s[0, k] + np.cumsum(gained)
     return OnTimes(result, tuple(left))
 
@@ -294,6 +296,8 @@ def _spreads_by_company(
     for _ in range(COMPANY_ROUNDS):
         each = zip(fired, spreads, company, strict=True)
         longer = [_longer(own, spread, sets, rounding) for own, spread, sets in each]
+        if not any(more.any() for more in longer):
+            break
         beside = [
             own._replace(seconds=own.seconds - more)
             for own, more in zip(fired, longer, strict=True)
@@ -316,21 +320,20 @@ def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> A
     if len(number) < 2 or len(usual) == 0:
         return np.zeros_like(own.seconds)
     sets = own.pulses[:, None] * (company[:, None] == usual)
-    solved = _solve(sets, spreads, rounding)
-    gram, by_count = sets.T @ solved, solved.T @ own.pulses
+    solved, whole = (_solve(each, spreads, rounding) for each in (sets, own.pulses))
+    gram, by_count = sets.T @ solved, sets.T @ whole
     square, unit = rounding, np.eye(len(usual))
     for _ in range(COMPANY_STEPS):
         covariance = np.linalg.inv(gram + unit / square)
         # the mean width, by generalised least squares with the sets' scatter in the covariance
-        beside = own.pulses - sets @ (covariance @ by_count)
-        weights = _solve(beside, spreads, rounding)
+        weights = whole - solved @ (covariance @ by_count)
         width = float(weights @ own.seconds / (weights @ own.pulses))
         gamma = covariance @ (solved.T @ own.seconds - width * by_count)
         square = max(float(np.mean(gamma**2 + np.diag(covariance))), LEAST_SCATTER * rounding)
     return np.asarray(sets @ gamma)
 
 
-def _lasting(fired: Firings, gained: Array, variance_s2: Array, step_s: float) -> float:
+def _lasting(expected: Array, variance_s2: Array, step_s: float) -> float:
     """Variance of roundings over long times, over that of independent ones.
 
     The rounding of C is a sawtooth; its harmonic h has the share 6/(πh)² of the variance. From one
@@ -340,15 +343,12 @@ def _lasting(fired: Firings, gained: Array, variance_s2: Array, step_s: float) -
 
     Parameters
     ----------
-    gained
-        (m,) on-times expected of the counter intervals, s.
-    variance_s2
-        (R,) of the firings' on-times.
+    expected, variance_s2
+        (R,) on-times of firings, s, and their variances.
     """
-    gain = np.bincount(fired.number, gained[fired.active])
     order = np.arange(1, HARMONICS + 1)
     share = 6.0 / (np.pi * order) ** 2
-    phase = 2.0 * np.pi * order * gain[:, None] / step_s
+    phase = 2.0 * np.pi * order * expected[:, None] / step_s
     kept = np.exp(-0.5 * (2.0 * np.pi * order / step_s) ** 2 * variance_s2[:, None] + 1j * phase)
     before, total = np.zeros(HARMONICS, dtype=np.complex128), 0.0
     for one in kept:
@@ -357,24 +357,21 @@ def _lasting(fired: Firings, gained: Array, variance_s2: Array, step_s: float) -
     return max(1.0 + 2.0 * total / (len(kept) + 1), LEAST_LASTING)
 
 
-def _gained(
-    fired: Firings,
-    longer: Array,
-    change: Array,
-    begun: Array,
-    spreads: Array,
-    step_s: float,
-    rounding: float,
-) -> tuple[Array, Rounding]:
-    """On-times (m − 1,) expected of a thruster's counter intervals, and what stays open.
+def _mean_pulse(fired: Firings) -> float:
+    """Mean width of a thruster's pulses, s."""
+    return float(fired.seconds.sum() / fired.pulses.sum())
+
+
+def _expected(
+    fired: Firings, longer: Array, spreads: Array, rounding: float
+) -> tuple[Array, float]:
+    """On-times (R,) expected of firings, and how many lie between two readings that are used.
 
     ``longer`` (R,) is what is usual of firings beside their pulses of one width, s, ``rounding``
     the variance of a rounding over long times, s².
     """
-    active, run, shown_s, count = fired
-    seconds = shown_s - longer
-    mean = float(shown_s.sum() / count.sum())
-    every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (mean * count.mean()))
+    seconds, count = fired.seconds - longer, fired.pulses
+    every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (_mean_pulse(fired) * count.mean()))
     starts = read_levels(len(seconds) + 1, every)[:-1]
     together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
     width = _mean_width(together, pulses, own, rounding)
@@ -382,13 +379,23 @@ def _gained(
     sums = pulses * width + _departing(together, pulses, width, own, rounding)
     within = count * width + _departing(seconds, count, width, spreads, rounding)
     lacking = (sums - np.add.reduceat(within, starts)) / pulses
-    expected = within + count * np.repeat(lacking, np.diff(starts, append=len(seconds))) + longer
-    # Within a run by what the readings show; a run too short to show anything, by its pulses.
-    shown = np.where(shown_s[run] > 0.0, change[active], begun[active])
+    beyond = count * np.repeat(lacking, np.diff(starts, append=len(seconds)))
+    return within + beyond + longer, every
+
+
+def _by_interval(
+    fired: Firings, change: Array, begun: Array, *of_firings: Array
+) -> tuple[Array, ...]:
+    """What firings (R,) have, shared out to a thruster's counter intervals (m − 1,).
+
+    Within a firing by what the readings show; where it is too short to show anything, by pulses.
+    """
+    active, run = fired.active, fired.number
+    shown = np.where(fired.seconds[run] > 0.0, change[active], begun[active])
     share = shown / np.bincount(run, shown)[run]
-    gained, ratio = np.zeros_like(change), np.zeros_like(change)
-    gained[active], ratio[active] = expected[run] * share, spreads[run] * share
-    return gained, Rounding(step_s, rounding, ratio, every, mean)
+    result = np.zeros((len(of_firings), len(change)))
+    result[:, active] = np.array(of_firings)[:, run] * share
+    return tuple(result)
 
 
 def _spreads(fired: Sequence[Firings], rounding: float) -> list[Array]:

@@ -206,22 +206,14 @@ def close_gaps(
     with_cycles
         Else the next pulse begins at any time until then (:func:`begin_with_cycles`).
     """
-    if control_cycle_s == 0.0:
+    if control_cycle_s == 0.0 or len(widths_s) < LEAST_ALONE:
         return ()
     into = np.mod(widths_s, control_cycle_s)
     slack = max(step_s, _SAME * control_cycle_s)
     fills = (into < slack) | (into > control_cycle_s - slack)
     gaps = np.where(fills, control_cycle_s, control_cycle_s - into)
-    if not with_cycles and len(gaps) >= LEAST_ALONE:
-        gaps = np.outer(gaps, (np.arange(QUANTILES) + 0.5) / QUANTILES).ravel()
-    return _quantiles(gaps)
-
-
-def _quantiles(values: Array) -> tuple[float, ...]:
-    """:data:`QUANTILES` values that stand for all; none for fewer than :data:`LEAST_ALONE`."""
-    if len(values) < LEAST_ALONE:
-        return ()
-    return tuple(np.quantile(values, (np.arange(QUANTILES) + 0.5) / QUANTILES).tolist())
+    share = (np.arange(QUANTILES) + 0.5) / QUANTILES  # of all, and of the rest of a cycle
+    return tuple(np.quantile(gaps if with_cycles else np.outer(gaps, share), share).tolist())
 
 
 def _typical(widths_s: Array) -> tuple[float, ...]:
