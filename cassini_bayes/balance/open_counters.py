@@ -16,8 +16,8 @@ import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, LostTails, quarter_of
-from cassini_bayes.balance.statistics.counters import read_levels
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
+from cassini_bayes.balance.statistics.rounded_counters import read_levels
 from cassini_bayes.computing.arrays import Array, Places
 
 LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
@@ -69,7 +69,7 @@ def level_patterns(counters: CounterStatistics, couple: int, step: Array, always
     """Patterns (n, C, s), in s of pulse columns and of variance 1, of a couple's rounded counters.
 
     Levels between two firings have the precision (1 + Dᵀ Q⁻¹ D)/σ² = Uᵀ U/σ² of
-    :class:`~cassini_bayes.balance.statistics.counters.Rounding`, and the patterns are B U⁻¹, B what
+    :class:`.rounded_counters.Rounding`, and the patterns are B U⁻¹, B what
     a level leaves in the rows: its error is in the firing before it and, less, in the one after it,
     by what columns gain per on-time. ``always`` (n, 1) is what a constant leaves in them.
     """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.statistics.counters import expected_on_times
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
@@ -14,6 +13,7 @@ from cassini_bayes.balance.statistics.preparation import (
     close_gaps,
     single_widths,
 )
+from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.computing.arrays import Array
 
 CYCLE_S = 0.125

@@ -17,7 +17,6 @@ from cassini_bayes.balance.statistics.counters import (
     are_quantised,
     counter_step,
     delivered_pulses,
-    expected_on_times,
 )
 from cassini_bayes.balance.statistics.reduction import (
     ChannelSteps,
@@ -25,6 +24,7 @@ from cassini_bayes.balance.statistics.reduction import (
     Preparation,
     Thinned,
 )
+from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples, quiet_rows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM

@@ -27,8 +27,8 @@ from cassini_bayes.balance.statistics.columns import (
     settle,
     walk_cosines,
 )
-from cassini_bayes.balance.statistics.counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import (
     SLOPE_WAVES,
@@ -123,7 +123,7 @@ class CounterStatistics:
     ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
     on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
     and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
-    (:class:`cassini_bayes.balance.statistics.counters.Rounding`). ``gaps_s`` (m,) are the times,
+    (:class:`.rounded_counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
     on-time of a firing is known. Where rows have pulses
