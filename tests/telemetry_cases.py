@@ -547,7 +547,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking, total = y, np.zeros((3 * n, 3 * n))
-        still = 0.2 if plain_sparse(n, samples) else 0.5
+        still = 0.02 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
         row_white = white
         walk = plain_walk(samples, rows, term) * values["torque_noise_n_m_s05"]
@@ -566,8 +566,13 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 kept, density = np.eye(3), 0.0
             else:
                 other = white + drift_square * np.trace(drift) / size * np.eye(3)
-                both = np.concatenate([share @ lacking, share @ wheels], axis=1)
-                kept, density = plain_estimate(both, size, other, weights, wheel_noise, still)
+                both, slower = (
+                    np.concatenate([one @ lacking, one @ wheels], axis=1)
+                    for one in (share, sum(b.share for b in bands[max(slow - 2, 0) : band]))
+                )
+                kept, density = plain_estimate(
+                    both, slower, size, other, weights, wheel_noise, still
+                )
             added = share @ wheels @ (weights @ kept).T
             own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             own_noise += drift_square * np.kron(drift, np.eye(3))
@@ -923,7 +928,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             piece = []
         piece.append(i + 1)
     slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
-    slope_times, ramps, slope_sums, other_waves, sums = [], [], [], [], np.zeros(2)
+    slope_times, ramps, slope_sums, other_waves, sums = [], [], [], [], []
     duration = sampling.duration_s
     pieces.append(piece)
     for piece in [own for own in pieces if len(own) >= 2]:
@@ -940,8 +945,19 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             turn[i] = turn[i - 1] + Rotation.from_matrix(relative.T).as_rotvec()
         ramp = np.array(times)[piece] - np.mean(np.array(times)[piece])
         slope = ramp / np.sqrt(np.sum(ramp**2))
-        # orthonormal to a constant and to the ramp, whichever basis
-        contrast = null_space(np.stack([np.ones(m), slope])).T
+        # orthonormal to a constant and to the ramp: cosines by half period, then whichever basis
+        long_s = times[piece[-1]] - times[piece[0]]
+        known, half_periods = [np.ones(m) / np.sqrt(m), slope], []
+        for order in range(2, m):
+            if long_s / order < 2.0 - 1e-6:
+                break
+            wave = np.cos(order * np.pi * (np.array(times)[piece] - times[piece[0]]) / long_s)
+            for _ in range(2):
+                wave = wave - np.array(known).T @ (np.array(known) @ wave)
+            known.append(wave / np.sqrt(np.sum(wave**2)))
+            half_periods.append(long_s / order)
+        contrast = np.concatenate([np.array(known[2:]).reshape(-1, m), null_space(known).T])
+        half_periods += [0.0] * (m - len(known))
         on_all = np.zeros((m, n))
         on_all[:, piece] = integral
         slope_rates.append(slope @ turn)
@@ -960,10 +976,8 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
         slowest = np.cos(np.outer(np.array(times)[piece], order) * np.pi / duration)
         other_waves += list(contrast @ integral @ slowest)
         slope_sums.append(np.sum((slope @ integral) ** 2))
-        sums += [
-            np.sum((contrast @ integral) ** 2),
-            np.sum((contrast @ integral @ walk) ** 2),
-        ]
+        squares = (np.sum((contrast @ integral @ x) ** 2, axis=1) for x in (np.eye(m), walk))
+        sums += list(np.stack([*squares, half_periods], axis=1))
     if not slope_rates:
         return PlainTurns(np.zeros((0, 3)), np.zeros((0, n)), np.zeros(0), np.zeros(0), [])
     of_rates = np.concatenate([np.array(slope_rates), *other_rates])
@@ -980,10 +994,14 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
         walked = (float(np.mean(each[start:stop])) for each in (size**2, faster))
         bands.append((share, float(summed), *walked))
     if total > count:
-        rest = np.diag(np.r_[np.zeros(count), np.ones(total - count)])
-        slowest_of = slice(1, 1 + plain_cosines(duration))
-        squares = [*sums, sums[1] - np.sum((np.array(other_waves) * scale[slowest_of]) ** 2)]
-        bands.append((rest, *(float(square) / (total - count) for square in squares)))
+        known = scale[1 : 1 + plain_cosines(duration)] * np.array(other_waves)
+        summed, walked, half_periods = np.array(sums).T
+        each = np.stack([summed, walked, walked - np.sum(known**2, axis=1)], axis=1)
+        for low, high in ((8.0, np.inf), (4.0, 8.0), (2.0, 4.0), (-1.0, 2.0)):
+            chosen = (half_periods >= low - 1e-6) & (half_periods < high - 1e-6)
+            if chosen.any():
+                share = np.diag(np.r_[np.zeros(count), chosen])
+                bands.append((share, *(float(x) for x in each[chosen].mean(axis=0))))
     return PlainTurns(
         of_rates,
         np.concatenate([np.array(slope_rows), *other_rows]),
@@ -1091,18 +1109,29 @@ def plain_sparse(rows: int, samples: Samples) -> bool:
 
 
 def plain_estimate(
-    both: Array, rows: int, other: Array, weights: Array, noise: float, no_motion: float
+    both: Array,
+    slower: Array,
+    rows: int,
+    other: Array,
+    weights: Array,
+    noise: float,
+    no_motion: float,
 ) -> tuple[Array, float]:
     """Matrix from measured to estimated wheel rates in a fast band, and the band's own density.
 
-    ``both`` (n, 6): the momentum that all but the wheels lacks, and the measured wheel rates.
+    ``both`` (n, 6): the momentum that all but the wheels lacks, and the measured wheel rates;
+    ``slower`` (n, 6) the same in slower bands, whose principal axes the motion has.
     """
-    lacks, wheels = both[:, :3], both[:, 3:]
+    wheels = both[:, 3:]
     inverse = np.linalg.inv(other)
     precision = np.eye(3) / noise + weights.T @ inverse @ weights
     root = np.real(sqrtm(precision))
-    best = (wheels / noise + lacks @ inverse @ weights) @ np.linalg.inv(precision)
-    squares, axes = np.linalg.eigh(root @ best.T @ best @ root)
+    best, before = (
+        (one[:, 3:] / noise + one[:, :3] @ inverse @ weights) @ np.linalg.inv(precision) @ root
+        for one in (both, slower)
+    )
+    _, axes = np.linalg.eigh(before.T @ before)
+    squares = np.sum((best @ axes) ** 2, axis=0)
     spreads, density = [], 0.0
     for square in squares:
         log_s = np.linspace(-9.0, 34.0, 400_001)

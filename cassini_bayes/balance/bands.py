@@ -41,7 +41,7 @@ ROWS_PER_MODE: Final = 2  # with as many modes as rows nothing is left that is f
 SPARSE_S: Final = 4.0  # per row and more: a wheel's ramp takes 16 s to end, within a few rows
 SPARSE_EDGES: Final = (0.5, 0.75)  # of the bands of sparse rows, in rows
 STILL: Final = 0.5  # probability that wheels do not move in a band
-SPARSE_STILL: Final = 0.2  # the same in the fast bands of sparse rows
+SPARSE_STILL: Final = 0.02  # in the fast bands of sparse rows motion is the rule
 _INDEPENDENT: Final = 1e-9  # least share of the largest square that a mode of its own has
 LOG_MOTION: Final = (-9.0, 34.0)  # range of the log of the wheels' motion over their noise
 _LOG_NOISE: Final = (-32.0, 12.0)  # range of the log of the noise over the measured mean square
@@ -265,7 +265,7 @@ class TurnBand:
 
 @_once
 def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array, Array]:
-    """Slopes of the quiet pieces by frequency, then the rest; and their Gram matrices.
+    """Slopes of the quiet pieces by frequency, then their swings; and their Gram matrices.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
     rows are (:func:`turned_modes`). Returns the bands, their (T, 3, 3, A, A), and the columns'
@@ -274,23 +274,24 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
     turns = statistics.turns
     bands: list[TurnBand] = []
     grams: list[Array] = []
-    modes = np.zeros((*turns.gram.shape[1:3], 0))
+    modes = np.zeros((*turns.gram.shape[2:4], 0))
     if turns.pieces > 0:
         bands, grams, modes = _slope_bands(statistics)
-    if turns.contrasts > 0:
-        couples, size = statistics.counters.slopes.shape[1:]
-        nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
+    couples, size = statistics.counters.slopes.shape[1:]
+    nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
+    own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
+    scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
+    for g in np.flatnonzero(turns.contrasts):
+        contrasts = int(turns.contrasts[g])
+        summed_s2, walked_s3 = float(turns.summed_s2[g]), float(turns.walked_s3[g])
         # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
-        moving = turns.summed_s2 * np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
-        own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
-        scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
-        of_axes = np.trace(turns.gram)[own, own]
-        slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * turns.contrasts)
-        faster = max(turns.walked_s3 - float(slowest), 0.0)
-        squares = (turns.summed_s2, moving, turns.walked_s3, faster)
-        bands.append(TurnBand(turns.contrasts, *squares, nothing))
-        grams.append(turns.gram)
-    grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape)
+        moving = summed_s2 * np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
+        of_axes = np.trace(turns.gram[g])[own, own]
+        slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * contrasts)
+        squares = (summed_s2, moving, walked_s3, max(walked_s3 - float(slowest), 0.0))
+        bands.append(TurnBand(contrasts, *squares, nothing))
+        grams.append(turns.gram[g])
+    grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape[1:])
     return tuple(bands), grams_of_all, np.ascontiguousarray(modes)
 
 

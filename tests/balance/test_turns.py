@@ -10,6 +10,7 @@ from cassini_bayes.balance.statistics.columns import ExtraColumn
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,
+    contrasts_of,
     noise_squares,
     pieces_of,
     slope_weights,
@@ -30,7 +31,7 @@ def test_integrated_columns_have_the_gram_matrices_of_slopes_and_the_rest() -> N
     own = np.column_stack([own, pieces.centred(np.vstack([np.zeros(3), steps]))])
     columns = np.r_[columns, layout.turn]
     kept = np.ix_(columns, columns)
-    total = (turns.slope_gram + turns.gram)[0, 0][kept]
+    total = (turns.slope_gram + turns.gram.sum(axis=0))[0, 0][kept]
     size = np.sqrt(np.diagonal(total))
     assert own.T @ own == pytest.approx(total, abs=1e-9 * np.outer(size, size).max())
     assert np.abs(np.add.reduceat(own, pieces.ends[:-1], axis=0)).max() < 1e-9
@@ -44,7 +45,7 @@ def test_a_columns_own_integral_counts_in_turns_alone() -> None:
         column = ExtraColumn("swing", lambda rows: np.sin(rows.time_s), over_trapezoids)
         own = event.with_columns((column,)).statistics
         place = own.layout.extra_place.start
-        turns = (own.turns.slope_gram + own.turns.gram)[0, 0]
+        turns = (own.turns.slope_gram + own.turns.gram.sum(axis=0))[0, 0]
         wheel = own.layout.wheel.start
         grams.append((turns[place, place], turns[place, wheel], own.gram[..., place, place].sum()))
     once, more = grams
@@ -90,16 +91,43 @@ def test_noise_in_the_integrals_of_a_piece_is_that_of_the_whole_matrix(rows: int
         ((left @ rule) ** 2).sum(),
         ((left @ rule @ (lower * np.sqrt(np.diff(time)))) ** 2).sum(),
     ]
-    found = noise_squares(time, ramp)
+    each, left_squares = noise_squares(time, plane.T)
+    found = [each[1, 0], *left_squares]
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)
     assert slope_weights(time) == pytest.approx(ramp @ rule)
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4, 9, 33, 400])
+def test_contrasts_are_orthonormal_and_grouped_by_their_noise(rows: int) -> None:
+    """Within a group of half periods what is summed up differs little; from group to group much."""
+    rng = np.random.default_rng(rows)
+    time = 100.0 + np.cumsum(rng.uniform(0.9, 1.1, rows)) * min(1.0, 32.0 / rows)
+    basis, group = contrasts_of(time)
+    assert basis @ basis.T == pytest.approx(np.eye(len(basis)), abs=1e-12)
+    assert len(group) == len(basis) - 2
+    assert list(group) == sorted(group)
+    ramp = time - time.mean()
+    assert basis[:2] == pytest.approx(
+        np.stack([np.full(rows, rows**-0.5), ramp / np.linalg.norm(ramp)]), abs=1e-12
+    )
+    summed = noise_squares(time, basis)[0][2:, 0] / np.median(np.diff(time)) ** 2
+    for g in set(group.tolist()):
+        own = summed[group == g]
+        assert np.mean(own**2) < 1.5 * np.mean(own) ** 2  # 5 over all contrasts of 32 rows
+        assert own.max() < 8.0 * own.min()
+    if rows == 33:
+        assert np.mean(summed**2) > 2.5 * np.mean(summed) ** 2
 
 
 def test_pieces_may_have_very_many_rows() -> None:
     """32 s at 5 kHz: a matrix of all rows would need 200 GB."""
     time = np.linspace(0.0, 32.0, 160_001)
-    ramp = time - time.mean()
-    coarse = noise_squares(time[::1000], ramp[::1000] / np.linalg.norm(ramp[::1000]))
-    fine = noise_squares(time, ramp / np.linalg.norm(ramp))
+    (coarse, beyond), (fine, left) = (
+        noise_squares(own, contrasts_of(own)[0][:2]) for own in (time[::1000], time)
+    )
     # noise of rows that are a thousand times as many averages out; a walk does not
-    assert np.array(fine) / coarse == pytest.approx([1.0, 1.0, 1000.0], rel=0.05)
+    assert fine[1, 0] / coarse[1, 0] == pytest.approx(1.0, rel=0.05)
+    assert left / beyond == pytest.approx([1.0, 1000.0], rel=0.05)
+    basis, group = contrasts_of(time)
+    assert basis.shape == (17, 160_001)
+    assert list(group) == [0, 0, 0, 1, 1, 1, 1, *[2] * 8]

@@ -31,6 +31,7 @@ from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import (
+    HALF_PERIODS_S,
     SLOPE_WAVES,
     PieceRule,
     piece_breaks,
@@ -38,12 +39,12 @@ from cassini_bayes.balance.statistics.turns import (
     piece_rule,
     turned,
 )
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 18  # raised with every change of what is stored
+_FORMAT: Final = 19  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 256  # intervals with firings that are told apart
@@ -93,8 +94,8 @@ class TurnStatistics:
     ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
     the cosines there, the first of them |t − t̄|, ``slope_summed_s2`` (r,) the variances of summed
     white noise, and ``slope_shown`` (r, 2 + 2 W) the lines through their wheel rates; each stands
-    for ``slope_stride`` pieces. Of the ``contrasts`` that are left: ``gram``, ``summed_s2`` and
-    ``walked_s3``, mean squares per contrast
+    for ``slope_stride`` pieces. Of the ``contrasts`` (G,) that are left, in groups: ``gram``
+    (G, 3, 3, A, A), ``summed_s2`` (G,) and ``walked_s3`` (G,), mean squares per contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
     """
 
@@ -107,10 +108,10 @@ class TurnStatistics:
     slope_summed_s2: Array
     slope_shown: Array
     slope_stride: int
-    contrasts: int
+    contrasts: Places
     gram: Array
-    summed_s2: float
-    walked_s3: float
+    summed_s2: Array
+    walked_s3: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -515,12 +516,13 @@ class _Turns:
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
         self._places = Thinned()  # (p, …) times, cosines, summed noise, lines of wheel rates
-        self._pieces, self._contrasts = 0, 0
+        groups = len(HALF_PERIODS_S) + 1
+        self._pieces, self._contrasts = 0, np.zeros(groups, dtype=np.int64)
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
         )
-        self._rest = np.zeros((size, size))
-        self._squares = np.zeros(2)
+        self._swings = np.zeros((groups, size, size))
+        self._squares = np.zeros((groups, 2))
 
     def add(self, rows: Rows) -> None:
         """Take more rows; those of a piece that may go on wait."""
@@ -545,9 +547,10 @@ class _Turns:
         times, summed = found.time_s[:, None], found.summed_s2[:, None]
         self._places.add(np.concatenate([times, waves, summed, found.shown], axis=1))
         self._pieces += len(slopes)
-        self._rest += found.rest.T @ found.rest
-        self._contrasts += found.contrasts
-        self._squares += (found.rest_summed, found.rest_walked)
+        for own, swings in zip(self._swings, found.swings, strict=True):
+            own += swings.T @ swings
+        self._contrasts += found.counts
+        self._squares += found.squares
         self._before = min(ends[-1], 1)
         self._waiting = [rows.part(slice(ends[-1] - self._before, None))]
 
@@ -555,7 +558,7 @@ class _Turns:
         """All of it, once the last rows have been added."""
         self._work_up(is_last=True)
         slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
-        by_contrast, walked = (self._squares / max(self._contrasts, 1)).tolist()
+        summed, walked = (self._squares / np.maximum(self._contrasts, 1)[:, None]).T.copy()
         width = SLOPE_WAVES + 5 + 2 * len(self._layout.wheels)
         places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
@@ -570,8 +573,8 @@ class _Turns:
             places[:, SLOPE_WAVES + 3 :].copy(),
             self._places.stride,
             self._contrasts,
-            _by_axes(self._rest, self._layout)[0],
-            by_contrast,
+            np.stack([_by_axes(own, self._layout)[0] for own in self._swings]),
+            summed,
             walked,
         )
 

@@ -31,6 +31,8 @@ from cassini_bayes.computing.arrays import Array, Flags, Places
 
 LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
+HALF_PERIODS_S: Final = (8.0, 4.0, 2.0)
+"""Where contrasts beside the slopes are divided: noise that is summed up goes as their square."""
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
 _NYQUIST: Final = 0.49  # cycles from row to row, nearly: nothing is left of the fastest
@@ -43,17 +45,19 @@ class Turned:
     A piece of m rows has m − 1 contrasts of unit noise. One is along the ramp t − t̄: its **slope**,
     a momentum as every row's, known |t − t̄| times as well as by one rate of the attitude's noise.
     Whatever is constant within a piece (cut tails, rounded counters, torque noise gathered before)
-    is in the slopes alone. The m − 2 others are the **rest**.
+    is in the slopes alone. The m − 2 others are **swings**, in G = 4 groups by their half periods
+    (:data:`HALF_PERIODS_S`), slow ones first: attitude noise is the same in all of them, noise of
+    rows is summed up, and a hundred times more in the slowest than in the fastest.
 
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
     the first of them |t − t̄|; ``summed_s2`` (p,) are the variances of unit white noise of a rate
     summed up by trapezoids, which grow with the square of a piece's length; ``shown``
     (p, 2 + 2 W) are a piece's rows and how long it is (s), and the straight lines through its wheel
-    rates: means (rad/s), then slopes (rad/s²). ``rest``
-    (n, 3 V + S) are the columns without their slopes, at all rows of the pieces, and
-    ``rest_summed`` and ``rest_walked`` sums of squares: of the same white noise (s²), and of a unit
-    random walk since the piece began, integrated (s³).
+    rates: means (rad/s), then slopes (rad/s²). ``swings`` are the columns (n, 3 V + S) on the
+    contrasts of every group or, what is left of the fastest, at rows; ``counts`` (G,) the contrasts
+    and ``squares`` (G, 2) sums of squares: of the same white noise (s²), and of a unit random walk
+    since the piece began, integrated (s³).
     """
 
     time_s: Array
@@ -61,10 +65,9 @@ class Turned:
     waves: Array
     summed_s2: Array
     shown: Array
-    rest: Array
-    contrasts: int
-    rest_summed: float
-    rest_walked: float
+    swings: tuple[Array, ...]
+    counts: Places
+    squares: Array
 
 
 @dataclass(frozen=True)
@@ -265,44 +268,72 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
     over_trapezoids = np.array([column.over_trapezoids for column in sampling.extra])
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
     shown = [np.zeros((0, 2 + 2 * len(layout.wheels)))]
-    rest = [np.zeros((0, flat.shape[1]))]
+    groups = len(HALF_PERIODS_S) + 1
+    swings = [[np.zeros((0, flat.shape[1]))] for _ in range(groups)]
     of_slopes: list[float] = []
-    contrasts, rest_summed, rest_walked = 0, 0.0, 0.0
+    counts, squares = np.zeros(groups, dtype=np.int64), np.zeros((groups, 2))
     for start, stop in pairwise(ends):
         if stop - start < LEAST_PIECE:
             continue
         time = rows.time_s[start:stop]
         own = _integral(time, flat[start:stop])
         own[:, extra] *= over_trapezoids
+        # a constant sums up to a ramp, of which nothing but rounding errors would be left
+        is_steady = np.all(flat[start:stop] == flat[start], axis=0)
+        is_steady[turn] = False
         turns = turns_between(rows.cosines[start:stop])
         own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
         gained = _integral(time, cosines(time, sampling.duration_s, SLOPE_WAVES + 1))
-        ramp = time - time.mean()
-        length = np.linalg.norm(ramp)
-        ramp /= length
+        basis, group = contrasts_of(time)
         times.append(time.mean())
         rates = flat[start:stop, wheel]
-        size = (len(time), time[-1] - time[0])
-        shown.append(np.concatenate([size, rates.mean(axis=0), ramp @ rates / length])[None])
-        slopes.append(ramp[None] @ own)
-        waves.append(ramp[None] @ gained)
-        rest.append(_without_slope(own, ramp))
-        contrasts += stop - start - 2
-        slope, summed, walked = noise_squares(time, ramp)
-        of_slopes.append(slope)
-        rest_summed += summed
-        rest_walked += walked
+        size, centred = (len(time), time[-1] - time[0]), time - time.mean()
+        line = centred @ rates / (centred @ centred)
+        shown.append(np.concatenate([size, rates.mean(axis=0), line])[None])
+        slopes.append(basis[1:2] @ own)
+        waves.append(basis[1:2] @ gained)
+        seen = basis @ own
+        left = own - basis.T @ seen
+        for one in (seen, left):
+            one[:, is_steady] = 0.0
+        each, of_left = noise_squares(time, basis)
+        of_slopes.append(float(each[1, 0]))
+        for g in range(groups):
+            swings[g].append(seen[2:][group == g])
+            squares[g] += each[2:][group == g].sum(axis=0)
+        counts += np.bincount(group, minlength=groups)
+        if (beyond := len(time) - len(basis)) > 0:
+            swings[-1].append(left)
+            counts[-1] += beyond
+            squares[-1] += of_left
     return Turned(
         np.array(times),
         np.concatenate(slopes),
         np.concatenate(waves),
         np.array(of_slopes),
         np.concatenate(shown),
-        np.concatenate(rest),
-        contrasts,
-        rest_summed,
-        rest_walked,
+        tuple(np.concatenate(one) for one in swings),
+        counts,
+        squares,
     )
+
+
+def contrasts_of(time_s: Array) -> tuple[Array, Places]:
+    """Contrasts (q, m) of a piece with rows at times (m,), orthonormal, and groups (q − 2,).
+
+    The first is a constant, the second the ramp t − t̄. The others are its cosines, slow ones first,
+    as far as they are slower than the fastest group of :data:`HALF_PERIODS_S`; of that group are
+    all contrasts that are not here.
+    """
+    long_s = time_s[-1] - time_s[0]
+    most = min(len(time_s) - 1, math.floor(long_s / HALF_PERIODS_S[-1] + SAME_S))
+    order = np.arange(2, most + 1)
+    waves = np.cos(np.multiply.outer((time_s - time_s[0]) / long_s, np.pi * order))
+    plane = [np.ones((len(time_s), 1)), (time_s - time_s.mean())[:, None]]
+    basis, size = np.linalg.qr(np.concatenate([*plane, waves], axis=1))
+    half_s = long_s / order + SAME_S
+    group = np.searchsorted(-np.array(HALF_PERIODS_S), -half_s, side="left")
+    return (basis * np.sign(np.diag(size))).T, group
 
 
 def slope_weights(time_s: Array) -> Array:
@@ -311,25 +342,26 @@ def slope_weights(time_s: Array) -> Array:
     return _of_integrals(time_s, ramp / np.linalg.norm(ramp))
 
 
-def noise_squares(time_s: Array, ramp: Array) -> tuple[float, float, float]:
+def noise_squares(time_s: Array, basis: Array) -> tuple[Array, Array]:
     """Squares of what noise of the rows puts into the integrals of a piece, per unit of it.
 
-    With A the trapezoidal rule as a matrix (m, m) and W a random walk at the rows, |ramp A|², s²,
-    |(1 − P) A|², s², and |(1 − P) A W|², s³, P the projection on a constant and on the unit
-    ``ramp`` (m,). In sums over the rows: rows may be many, A has their square.
+    With A the trapezoidal rule as a matrix (m, m) and W a random walk at the rows, |b A|², s², and
+    |b A W|², s³, of every contrast b of an orthonormal ``basis`` (q, m), (q, 2), and the same of
+    all contrasts that are not in it, (2,). In sums over the rows: rows may be many, A has their
+    square.
     """
     m, time_s = len(time_s), time_s - time_s.mean()
-    plane = np.stack([np.full(m, 1.0 / math.sqrt(m)), ramp])
     step, after = np.diff(time_s), np.arange(m - 1, -1, -1.0)
     own, later = _weights_of_rows(time_s)
-    of_plane = (_of_integrals(time_s, plane) ** 2).sum(axis=1)
-    summed = (own**2).sum() + after @ later**2 - of_plane.sum()
+    summed = (_of_integrals(time_s, basis) ** 2).sum(axis=1)
+    summed_of_all = (own**2).sum() + after @ later**2
     # a step of the walk has, at later rows, what passed since the middle of its interval
     middle = time_s[:-1] + 0.5 * step
     square = _later(time_s**2) - 2.0 * middle * _later(time_s) + middle**2 * after[:-1]
-    along = _later(plane * time_s) - middle * _later(plane)
-    walked = step @ (square - (along**2).sum(axis=0))
-    return float(of_plane[1]), float(summed), float(walked)
+    walked = (_later(basis * time_s) - middle * _later(basis)) ** 2 @ step
+    each = np.stack([summed, walked], axis=1)
+    of_all = np.array([summed_of_all, step @ square])
+    return each, np.maximum(of_all - each.sum(axis=0), 0.0)
 
 
 def _of_integrals(time_s: Array, along: Array) -> Array:
@@ -357,9 +389,3 @@ def _integral(time_s: Array, values: Array) -> Array:
     step = np.diff(time_s)[:, None]
     gained = 0.5 * step * (values[1:] + values[:-1])
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gained, axis=0)])
-
-
-def _without_slope(values: Array, ramp: Array) -> Array:
-    """Centred values (m, …) less what is along the unit ramp (m,)."""
-    centred = values - values.mean(axis=0)
-    return np.asarray(centred - ramp[:, None] * (ramp @ centred))
