@@ -928,7 +928,7 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
             piece = []
         piece.append(i + 1)
     slope_rates, slope_rows, waves, other_rates, other_rows = [], [], [], [], []
-    slope_times, ramps, slope_sums, other_waves, sums = [], [], [], [], []
+    slope_times, ramps, slope_sums, other_waves, sums, faster_still = [], [], [], [], [], []
     duration = sampling.duration_s
     pieces.append(piece)
     for piece in [own for own in pieces if len(own) >= 2]:
@@ -972,6 +972,11 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
                 for order in range(129)
             ]
         )
+        own = np.array(times)[piece]
+        about_mean = duration / 3.0 - np.maximum.outer(own, own)
+        about_mean += np.add.outer(own**2, own**2) / (2.0 * duration)
+        known = np.array(waves[-1][1:]) * np.sqrt(2 * duration) / (np.arange(1, 129) * np.pi)
+        faster_still.append(slope @ integral @ about_mean @ integral.T @ slope - known @ known)
         order = np.arange(1, 1 + plain_cosines(duration))
         slowest = np.cos(np.outer(np.array(times)[piece], order) * np.pi / duration)
         other_waves += list(contrast @ integral @ slowest)
@@ -986,12 +991,13 @@ def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     scale = np.r_[np.sqrt(duration / 3.0), np.sqrt(2 * duration) / (order * np.pi)]
     modes, size, _ = np.linalg.svd(np.array(waves) * scale, full_matrices=False)
     faster = plain_faster(modes, size, np.array(waves) * scale, duration)
-    bands = []
-    for start, stop in pairwise([0, *(edge for edge in SLOPE_EDGES if edge < count), count]):
+    bands, edges = [], {*SLOPE_EDGES, 1 + plain_cosines(duration)}
+    beyond = modes.T**2 @ np.array(faster_still)
+    for start, stop in pairwise([0, *sorted(edge for edge in edges if edge < count), count]):
         share = np.zeros((total, total))
         share[:count, :count] = modes[:, start:stop] @ modes[:, start:stop].T
         summed = np.diagonal(share)[:count] @ np.array(slope_sums) / (stop - start)
-        walked = (float(np.mean(each[start:stop])) for each in (size**2, faster))
+        walked = (float(np.mean((each + beyond)[start:stop])) for each in (size**2, faster))
         bands.append((share, float(summed), *walked))
     if total > count:
         known = scale[1 : 1 + plain_cosines(duration)] * np.array(other_waves)

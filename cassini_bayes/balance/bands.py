@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics
-from cassini_bayes.balance.statistics.columns import cosines, walk_cosines
+from cassini_bayes.balance.statistics.columns import cosines, walk_cosines, walk_scales
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
 from cassini_bayes.balance.statistics.turns import slope_weights
 from cassini_bayes.computing.arrays import Array
@@ -305,8 +305,12 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     rounded, all_rounded = rounded_slopes(turns, on_modes, statistics.steps.wheel_rad_s)
     # of each piece its own: noise summed over a long one is far more than over a short one
     summed = turns.slope_stride * turns.slope_summed_s2 @ on_modes**2
+    faster_still = turns.slope_stride * turns.slope_beyond_s3 @ on_modes**2
+    walk, faster = walk + faster_still, faster + faster_still
     bands, grams, rest = [], [], turns.slope_gram
-    inner = [edge for edge in SLOPE_EDGES if edge < len(walk)]
+    # the slowest cosines are unknowns: modes that are theirs have next to no walk beside them
+    edges = {*SLOPE_EDGES, 1 + statistics.layout.cosines}
+    inner = sorted(edge for edge in edges if edge < len(walk))
     for start, stop in pairwise([0, *inner, len(walk)]):
         part = modes[..., start:stop]
         gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
@@ -385,17 +389,6 @@ def turned_modes(statistics: EventStatistics) -> tuple[Array, Array, Array, Arra
     constant = np.stack([gram[0, c, one] for c in range(3)])
     seen = np.concatenate([constant[None], statistics.projection])
     return values, faster, np.tensordot(seen, turned, (0, 0)), turned
-
-
-def walk_scales(duration_s: float, cosines: int) -> Array:
-    """Standard deviations (1 + cosines,) of the mean and the cosines of a unit random walk, s^½.
-
-    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
-    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean).
-    """
-    order = np.arange(1, 1 + cosines)
-    return np.asarray(np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi])
 
 
 def diagonal_walk(square: Array, duration_s: float, most: int) -> tuple[Array, Array, Array]:

@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.bands import walk_scales
 from cassini_bayes.balance.linearised import (
     EventRows,
     Information,
@@ -26,7 +25,7 @@ from cassini_bayes.balance.linearised import (
     with_unknowns,
 )
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics.columns import Rows, walk_columns
+from cassini_bayes.balance.statistics.columns import Rows, walk_columns, walk_scales
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,

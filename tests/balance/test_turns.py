@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
-from cassini_bayes.balance.statistics.columns import ExtraColumn
+from cassini_bayes.balance.statistics.columns import ExtraColumn, cosines, walk_scales
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,
@@ -15,6 +15,7 @@ from cassini_bayes.balance.statistics.turns import (
     pieces_of,
     slope_weights,
     turns_between,
+    walk_square,
 )
 
 
@@ -131,3 +132,18 @@ def test_pieces_may_have_very_many_rows() -> None:
     basis, group = contrasts_of(time)
     assert basis.shape == (17, 160_001)
     assert list(group) == [0, 0, 0, 1, 1, 1, 1, *[2] * 8]
+
+
+@pytest.mark.parametrize("long_s", [8.0, 32.0])
+def test_a_walk_has_more_than_its_first_cosines(long_s: float) -> None:
+    """The closed form is the sum over very many cosines; 128 of them lack a part of it."""
+    time, duration = 1_000.0 + np.arange(0.0, long_s + 1.0), 3_600.0
+    weights = slope_weights(time)
+
+    def of_cosines(count: int) -> float:
+        scaled = walk_scales(duration, count) * cosines(time, duration, 1 + count)
+        return float(((weights @ scaled[:, 1:]) ** 2).sum())
+
+    whole = walk_square(time, weights, duration)
+    assert whole == pytest.approx(of_cosines(50_000), abs=5e-3 * weights.sum() ** 2)
+    assert whole - of_cosines(128) > 0.3 * weights.sum() ** 2

@@ -93,7 +93,8 @@ class TurnStatistics:
     momentum ``slope_projection`` (1 + M, 3, A) and ``slope_mode_gram`` (1 + M, 1 + M);
     ``slope_time_s`` (r,) and ``slope_waves`` (r, 1 + M) are evenly thinned times of the pieces and
     the cosines there, the first of them |t − t̄|, ``slope_summed_s2`` (r,) the variances of summed
-    white noise, and ``slope_shown`` (r, 2 + 2 W) the lines through their wheel rates; each stands
+    white noise, ``slope_beyond_s3`` (r,) those of what a unit random walk has beside these cosines,
+    and ``slope_shown`` (r, 2 + 2 W) the lines through their wheel rates; each stands
     for ``slope_stride`` pieces. Of the ``contrasts`` (G,) that are left, in groups: ``gram``
     (G, 3, 3, A, A), ``summed_s2`` (G,) and ``walked_s3`` (G,), mean squares per contrast
     (:class:`cassini_bayes.balance.statistics.turns.Turned`).
@@ -106,6 +107,7 @@ class TurnStatistics:
     slope_time_s: Array
     slope_waves: Array
     slope_summed_s2: Array
+    slope_beyond_s3: Array
     slope_shown: Array
     slope_stride: int
     contrasts: Places
@@ -544,8 +546,8 @@ class _Turns:
         found = turned(rows, self._layout, ends, self._sampling)
         slopes, waves = found.slopes, found.waves
         self._slopes.gather(_Inner(slopes.T @ slopes, waves.T @ slopes, waves.T @ waves))
-        times, summed = found.time_s[:, None], found.summed_s2[:, None]
-        self._places.add(np.concatenate([times, waves, summed, found.shown], axis=1))
+        times, squares = found.time_s[:, None], np.stack([found.summed_s2, found.beyond_s3], axis=1)
+        self._places.add(np.concatenate([times, waves, squares, found.shown], axis=1))
         self._pieces += len(slopes)
         for own, swings in zip(self._swings, found.swings, strict=True):
             own += swings.T @ swings
@@ -559,7 +561,7 @@ class _Turns:
         self._work_up(is_last=True)
         slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
         summed, walked = (self._squares / np.maximum(self._contrasts, 1)[:, None]).T.copy()
-        width = SLOPE_WAVES + 5 + 2 * len(self._layout.wheels)
+        width = SLOPE_WAVES + 6 + 2 * len(self._layout.wheels)
         places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
             self._pieces,
@@ -570,7 +572,8 @@ class _Turns:
             places[:, 0].copy(),
             places[:, 1 : SLOPE_WAVES + 2].copy(),
             places[:, SLOPE_WAVES + 2].copy(),
-            places[:, SLOPE_WAVES + 3 :].copy(),
+            places[:, SLOPE_WAVES + 3].copy(),
+            places[:, SLOPE_WAVES + 4 :].copy(),
             self._places.stride,
             self._contrasts,
             np.stack([_by_axes(own, self._layout)[0] for own in self._swings]),

@@ -25,7 +25,13 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import Layout, Rows, Sampling, cosines
+from cassini_bayes.balance.statistics.columns import (
+    Layout,
+    Rows,
+    Sampling,
+    cosines,
+    walk_scales,
+)
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
@@ -52,7 +58,8 @@ class Turned:
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
     the first of them |t − t̄|; ``summed_s2`` (p,) are the variances of unit white noise of a rate
-    summed up by trapezoids, which grow with the square of a piece's length; ``shown``
+    summed up by trapezoids, which grow with the square of a piece's length; ``beyond_s3`` (p,) are
+    those of a unit random walk that these cosines lack; ``shown``
     (p, 2 + 2 W) are a piece's rows and how long it is (s), and the straight lines through its wheel
     rates: means (rad/s), then slopes (rad/s²). ``swings`` are the columns (n, 3 V + S) on the
     contrasts of every group or, what is left of the fastest, at rows; ``counts`` (G,) the contrasts
@@ -64,6 +71,7 @@ class Turned:
     slopes: Array
     waves: Array
     summed_s2: Array
+    beyond_s3: Array
     shown: Array
     swings: tuple[Array, ...]
     counts: Places
@@ -271,6 +279,8 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
     groups = len(HALF_PERIODS_S) + 1
     swings = [[np.zeros((0, flat.shape[1]))] for _ in range(groups)]
     of_slopes: list[float] = []
+    beyond_s3: list[float] = []
+    scale = walk_scales(sampling.duration_s, SLOPE_WAVES)[1:]
     counts, squares = np.zeros(groups, dtype=np.int64), np.zeros((groups, 2))
     for start, stop in pairwise(ends):
         if stop - start < LEAST_PIECE:
@@ -292,6 +302,8 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         shown.append(np.concatenate([size, rates.mean(axis=0), line])[None])
         slopes.append(basis[1:2] @ own)
         waves.append(basis[1:2] @ gained)
+        whole_s3 = walk_square(time, slope_weights(time), sampling.duration_s)
+        beyond_s3.append(max(whole_s3 - float(((waves[-1][:, 1:] * scale) ** 2).sum()), 0.0))
         seen = basis @ own
         left = own - basis.T @ seen
         for one in (seen, left):
@@ -311,6 +323,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         np.concatenate(slopes),
         np.concatenate(waves),
         np.array(of_slopes),
+        np.array(beyond_s3),
         np.concatenate(shown),
         tuple(np.concatenate(one) for one in swings),
         counts,
@@ -362,6 +375,17 @@ def noise_squares(time_s: Array, basis: Array) -> tuple[Array, Array]:
     each = np.stack([summed, walked], axis=1)
     of_all = np.array([summed_of_all, step @ square])
     return each, np.maximum(of_all - each.sum(axis=0), 0.0)
+
+
+def walk_square(time_s: Array, weights: Array, duration_s: float) -> float:
+    """Variance of a weighted sum of a unit random walk about its mean over the event, s times w².
+
+    For weights w (m,) at times t (m,) of an event of length T; the walk less its mean has the
+    covariance T/3 − max(t, t′) + (t² + t′²)/(2 T).
+    """
+    total = weights.sum()
+    later = weights @ (time_s * (2.0 * np.cumsum(weights) - weights))
+    return float(total**2 * duration_s / 3.0 - later + total * (weights @ time_s**2) / duration_s)
 
 
 def _of_integrals(time_s: Array, along: Array) -> Array:
