@@ -547,7 +547,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
         drift_square = values["torque_noise_n_m_s05"] ** 2
         y = np.array(rows.rates) @ inertia
         lacking, total = y, np.zeros((3 * n, 3 * n))
-        still = 0.02 if plain_sparse(n, samples) else 0.5
+        still = 0.3 if plain_sparse(n, samples) else 0.5
         turns = plain_turns(rows, term.event.sampling)
         row_white = white
         walk = plain_walk(samples, rows, term) * values["torque_noise_n_m_s05"]
@@ -566,13 +566,8 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
                 kept, density = np.eye(3), 0.0
             else:
                 other = white + drift_square * np.trace(drift) / size * np.eye(3)
-                both, slower = (
-                    np.concatenate([one @ lacking, one @ wheels], axis=1)
-                    for one in (share, sum(b.share for b in bands[max(slow - 2, 0) : band]))
-                )
-                kept, density = plain_estimate(
-                    both, slower, size, other, weights, wheel_noise, still
-                )
+                both = np.concatenate([share @ lacking, share @ wheels], axis=1)
+                kept, density = plain_estimate(both, size, other, weights, wheel_noise, still)
             added = share @ wheels @ (weights @ kept).T
             own_noise = np.kron(share, white + wheel_noise * weights @ kept @ weights.T)
             own_noise += drift_square * np.kron(drift, np.eye(3))
@@ -1115,29 +1110,18 @@ def plain_sparse(rows: int, samples: Samples) -> bool:
 
 
 def plain_estimate(
-    both: Array,
-    slower: Array,
-    rows: int,
-    other: Array,
-    weights: Array,
-    noise: float,
-    no_motion: float,
+    both: Array, rows: int, other: Array, weights: Array, noise: float, no_motion: float
 ) -> tuple[Array, float]:
     """Matrix from measured to estimated wheel rates in a fast band, and the band's own density.
 
-    ``both`` (n, 6): the momentum that all but the wheels lacks, and the measured wheel rates;
-    ``slower`` (n, 6) the same in slower bands, whose principal axes the motion has.
+    ``both`` (n, 6): the momentum that all but the wheels lacks, and the measured wheel rates.
     """
-    wheels = both[:, 3:]
+    lacks, wheels = both[:, :3], both[:, 3:]
     inverse = np.linalg.inv(other)
     precision = np.eye(3) / noise + weights.T @ inverse @ weights
     root = np.real(sqrtm(precision))
-    best, before = (
-        (one[:, 3:] / noise + one[:, :3] @ inverse @ weights) @ np.linalg.inv(precision) @ root
-        for one in (both, slower)
-    )
-    _, axes = np.linalg.eigh(before.T @ before)
-    squares = np.sum((best @ axes) ** 2, axis=0)
+    best = (wheels / noise + lacks @ inverse @ weights) @ np.linalg.inv(precision)
+    squares, axes = np.linalg.eigh(root @ best.T @ best @ root)
     spreads, density = [], 0.0
     for square in squares:
         log_s = np.linspace(-9.0, 34.0, 400_001)

@@ -23,7 +23,6 @@ LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured t
 _LEAST_SPREAD: Final = 1e-14  # of the noise in a mean square: all the rest is motion
 _SWEEPS: Final = 30  # Jacobi converges quadratically: more than any small matrix needs
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
-_SLOWER: Final = 2  # slow bands in which wheels show along which axes they move
 _TILE: Final = 4  # rows whose inner products are taken together
 FILLED: Final = 8  # numbers of which the last side of Gram matrices is a multiple: vectors
 
@@ -134,7 +133,6 @@ def normal_equations(
     normal, log_scale = np.zeros((n, width, width)), np.empty(n)
     kept, lacking = np.empty((n, bands, wheels, wheels)), np.empty((n, 3, size))
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
-    slower = np.empty((n, 3 + wheels, 3 + wheels))
     other, covariance = np.empty((3, 3)), np.empty((3, 3))
     axes = np.empty((max(slow_bands, by_modes), 3, 3))
     precision = np.empty((2, 3, 3))
@@ -164,8 +162,6 @@ def normal_equations(
         _add_squares(on_modes, 3 * slow.walk.size, normal[i])
         if is_told:
             _place(entries, used, normal[i], placed, i, lacking[i])
-            first = slow.first[max(slow_bands - _SLOWER, 0)]
-            _moments_on_modes(slow.projection, first, entries.wheels, lacking[i], slower[i])
     # band by band and two points at a time: Gram matrices are read from the cache half as often
     for f in range(bands):
         for i in range(0, n, 2):
@@ -183,13 +179,11 @@ def normal_equations(
                         fast.nodes[f],
                         fast.coefficients[f],
                         products,
-                        slower[p],
                         other,
                         own,
                         noise.wheel[p, slow_bands + f],
                         kept[p, f],
                     )
-                    slower[p] += fast.rows[f] * products
                 else:
                     _set_one(kept[p, f])
                 _see(own, kept[p, f], entries.wheels, used, seen)
@@ -432,7 +426,6 @@ def estimated_wheels(
     nodes: Array,
     coefficients: Array,
     moments: Array,
-    slower: Array,
     other: Array,
     weights: Array,
     variance: Array,
@@ -452,9 +445,6 @@ def estimated_wheels(
         Its table, as in :class:`SlowBand`.
     moments
         (3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
-    slower
-        Their sums over slower modes, whose principal axes are those of the motion: the band's own
-        would lie where its noise happens to be large and small.
     other
         (3, 3) covariance of e.
     weights
@@ -494,10 +484,20 @@ def estimated_wheels(
         together[j, 3 + j] = 1.0 / variance[j]
     for column in range(3 + wheels):
         _solve(factor, together[:, column])
-    squares, axes = np.empty((wheels, wheels)), np.empty((wheels, wheels))
-    _squares(together, slower, squares)
+    squares, half_way = np.empty((wheels, wheels)), np.empty(3 + wheels)
+    for j in range(wheels):
+        for a in range(3 + wheels):
+            value = 0.0
+            for b in range(3 + wheels):
+                value += together[j, b] * moments[b, a]
+            half_way[a] = value
+        for k in range(j + 1):
+            value = 0.0
+            for a in range(3 + wheels):
+                value += half_way[a] * together[k, a]
+            squares[j, k] = squares[k, j] = value
+    axes = np.empty((wheels, wheels))
     _diagonalise(squares, axes)
-    _squares(together, moments, squares)
     # K = S (S + Σ)⁻¹ for S = X (1/q − 1) Xᵀ, q the spread: well conditioned for any q in 0 … 1;
     # in units of every wheel's own noise
     log_total = -0.5 * rows * log_other
@@ -505,12 +505,8 @@ def estimated_wheels(
         log_total -= 0.5 * rows * np.log(variance[j])
     inner = np.empty((wheels, wheels))
     for a in range(wheels):
-        along = 0.0
-        for j in range(wheels):
-            for k in range(wheels):
-                along += axes[j, a] * squares[j, k] * axes[k, a]
-        log_density, spread = _looked_up(rows, nodes, coefficients, along)
-        log_total += log_density + 0.5 * rows * max(along, LEAST_SQUARE) * spread
+        log_density, spread = _looked_up(rows, nodes, coefficients, squares[a, a])
+        log_total += log_density + 0.5 * rows * max(squares[a, a], LEAST_SQUARE) * spread
         inner[a, a] = spread
         _solve_transposed(factor, axes[:, a])
         for j in range(wheels):
@@ -536,24 +532,6 @@ def estimated_wheels(
             own += left * moments[3 + k, 3 + j] / np.sqrt(variance[j] * variance[k])
     log_total -= 0.5 * rows * own
     return log_total
-
-
-@compiled_sums
-def _squares(together: Array, moments: Array, out: Array) -> None:  # pragma: no cover - compiled
-    """Mean products (W, W) of combinations (W, 3 + W) of what has ``moments`` (3 + W, 3 + W)."""
-    wheels, size = together.shape
-    half_way = np.empty(size)
-    for j in range(wheels):
-        for a in range(size):
-            value = 0.0
-            for b in range(size):
-                value += together[j, b] * moments[b, a]
-            half_way[a] = value
-        for k in range(j + 1):
-            value = 0.0
-            for a in range(size):
-                value += half_way[a] * together[k, a]
-            out[j, k] = out[k, j] = value
 
 
 @compiled_sums
@@ -708,30 +686,6 @@ def _moments(
     for j in range(places.size):
         for k in range(places.size):
             out[3 + j, 3 + k] = gram[places[j], 0, 0, places[k]] / rows
-
-
-@compiled_sums
-def _moments_on_modes(
-    projection: Array, first: int, places: Places, weights: Array, out: Array
-) -> None:  # pragma: no cover - compiled
-    """Sums of these products over modes from the ``first`` on, by coordinates (3, B, R) on them."""
-    size, modes = projection.shape[1], projection.shape[2] - first
-    seen = np.zeros((3 + places.size, modes))
-    for c in range(3):
-        for b in range(size):
-            weight = weights[c, b]
-            if weight != 0.0:
-                for m in range(modes):
-                    seen[c, m] += weight * projection[c, b, first + m]
-    for j in range(places.size):
-        for m in range(modes):
-            seen[3 + j, m] = projection[0, places[j], first + m]
-    for a in range(len(seen)):
-        for b in range(a + 1):
-            value = 0.0
-            for m in range(modes):
-                value += seen[a, m] * seen[b, m]
-            out[a, b] = out[b, a] = value
 
 
 @compiled_sums
