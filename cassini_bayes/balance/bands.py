@@ -321,8 +321,8 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         grams.append(gram)
         rest = rest - gram
     if (rows := turns.pieces - len(walk)) > 0:
-        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
-        walked = float(beyond * turns.slope_mode_gram[0, 0] / rows)
+        beyond_walked = turns.slope_stride * turns.slope_beyond_s3.sum() - faster_still.sum()
+        walked = float(max(beyond_walked / rows, turns.slope_beyond_s3.min()))
         left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
         beyond_summed = turns.slope_stride * turns.slope_summed_s2.sum() - summed.sum()
         least = turns.slope_summed_s2.min()  # thinned pieces may leave too little for the rest

@@ -346,7 +346,7 @@ def contrasts_of(time_s: Array) -> tuple[Array, Places]:
     basis, size = np.linalg.qr(np.concatenate([*plane, waves], axis=1))
     half_s = long_s / order + SAME_S
     group = np.searchsorted(-np.array(HALF_PERIODS_S), -half_s, side="left")
-    return (basis * np.sign(np.diag(size))).T, group
+    return (basis * np.where(np.diag(size) < 0.0, -1.0, 1.0)).T, group
 
 
 def slope_weights(time_s: Array) -> Array:
