@@ -9,7 +9,7 @@ fires the balance holds at all times, so its integral does:
 
 Θ the turn of the body since the piece began, θ the attitude's white noise. The constant is the
 piece's own and free, so that columns are centred: what is left of a piece of m rows are its slope
-and m − 2 other contrasts of white noise. Pieces end at firings (when in a counter interval a pulse
+and m − 2 swings. Pieces end at firings (when in a counter interval a pulse
 came is not known, and that shifts the angle, not the rate), at gaps, where wheels change their
 acceleration between rows, and after :data:`LONGEST_S`, beyond which the integrated noise of wheel
 rates would be more than that of the attitude. Derivation: ``docs/topics/telemetry-likelihood.md``
