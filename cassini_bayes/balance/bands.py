@@ -279,16 +279,16 @@ def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array
         bands, grams, modes = _slope_bands(statistics)
     couples, size = statistics.counters.slopes.shape[1:]
     nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
+    # the summed rounding of a wheel at rest is a ramp: nothing of it is in swings
+    moving = np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
     own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
     scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
     for g in np.flatnonzero(turns.contrasts):
         contrasts = int(turns.contrasts[g])
         summed_s2, walked_s3 = float(turns.summed_s2[g]), float(turns.walked_s3[g])
-        # the summed rounding of a wheel at rest is a ramp: nothing of it is in these contrasts
-        moving = summed_s2 * np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
         of_axes = np.trace(turns.gram[g])[own, own]
         slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * contrasts)
-        squares = (summed_s2, moving, walked_s3, max(walked_s3 - float(slowest), 0.0))
+        squares = (summed_s2, summed_s2 * moving, walked_s3, max(walked_s3 - float(slowest), 0.0))
         bands.append(TurnBand(contrasts, *squares, nothing))
         grams.append(turns.gram[g])
     grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape[1:])
@@ -321,12 +321,16 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         grams.append(gram)
         rest = rest - gram
     if (rows := turns.pieces - len(walk)) > 0:
-        beyond_walked = turns.slope_stride * turns.slope_beyond_s3.sum() - faster_still.sum()
-        walked = float(max(beyond_walked / rows, turns.slope_beyond_s3.min()))
+        # thinned pieces may leave too little for the rest: that of one piece at least
+        summed_s2, walked_s3 = (
+            float(max((turns.slope_stride * each.sum() - known.sum()) / rows, each.min()))
+            for each, known in (
+                (turns.slope_summed_s2, summed),
+                (turns.slope_beyond_s3, faster_still),
+            )
+        )
         left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
-        beyond_summed = turns.slope_stride * turns.slope_summed_s2.sum() - summed.sum()
-        least = turns.slope_summed_s2.min()  # thinned pieces may leave too little for the rest
-        squares = (float(max(beyond_summed / rows, least)), left, walked, walked)
+        squares = (summed_s2, left, walked_s3, walked_s3)
         bands.append(TurnBand(rows, *squares, left_open.of_rest(rows)))
         grams.append(rest)
     return bands, grams, modes[..., :FEW_SLOPES]

@@ -31,8 +31,8 @@ from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import (
-    HALF_PERIODS_S,
     SLOPE_WAVES,
+    SWING_GROUPS,
     PieceRule,
     piece_breaks,
     piece_ends,
@@ -517,14 +517,13 @@ class _Turns:
         self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
-        self._places = Thinned()  # (p, …) times, cosines, summed noise, lines of wheel rates
-        groups = len(HALF_PERIODS_S) + 1
-        self._pieces, self._contrasts = 0, np.zeros(groups, dtype=np.int64)
+        self._places = Thinned()  # (p, …) times, cosines, noise and walk, lines of wheel rates
+        self._pieces, self._contrasts = 0, np.zeros(SWING_GROUPS, dtype=np.int64)
         self._slopes = _Inner(
             np.zeros((size, size)), np.zeros((waves, size)), np.zeros((waves, waves))
         )
-        self._swings = np.zeros((groups, size, size))
-        self._squares = np.zeros((groups, 2))
+        self._swings = np.zeros((SWING_GROUPS, size, size))
+        self._squares = np.zeros((SWING_GROUPS, 2))
 
     def add(self, rows: Rows) -> None:
         """Take more rows; those of a piece that may go on wait."""

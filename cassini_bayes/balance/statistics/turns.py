@@ -39,6 +39,7 @@ LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 r
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
 HALF_PERIODS_S: Final = (8.0, 4.0, 2.0)
 """Where contrasts beside the slopes are divided: noise that is summed up goes as their square."""
+SWING_GROUPS: Final = len(HALF_PERIODS_S) + 1
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
 GAP: Final = 2.5  # times the usual time between rows
 _NYQUIST: Final = 0.49  # cycles from row to row, nearly: nothing is left of the fastest
@@ -276,12 +277,11 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
     over_trapezoids = np.array([column.over_trapezoids for column in sampling.extra])
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
     shown = [np.zeros((0, 2 + 2 * len(layout.wheels)))]
-    groups = len(HALF_PERIODS_S) + 1
-    swings = [[np.zeros((0, flat.shape[1]))] for _ in range(groups)]
+    swings = [[np.zeros((0, flat.shape[1]))] for _ in range(SWING_GROUPS)]
     of_slopes: list[float] = []
     beyond_s3: list[float] = []
     scale = walk_scales(sampling.duration_s, SLOPE_WAVES)[1:]
-    counts, squares = np.zeros(groups, dtype=np.int64), np.zeros((groups, 2))
+    counts, squares = np.zeros(SWING_GROUPS, dtype=np.int64), np.zeros((SWING_GROUPS, 2))
     for start, stop in pairwise(ends):
         if stop - start < LEAST_PIECE:
             continue
@@ -310,10 +310,10 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
             one[:, is_steady] = 0.0
         each, of_left = noise_squares(time, basis)
         of_slopes.append(float(each[1, 0]))
-        for g in range(groups):
+        for g in range(SWING_GROUPS):
             swings[g].append(seen[2:][group == g])
             squares[g] += each[2:][group == g].sum(axis=0)
-        counts += np.bincount(group, minlength=groups)
+        counts += np.bincount(group, minlength=SWING_GROUPS)
         if (beyond := len(time) - len(basis)) > 0:
             swings[-1].append(left)
             counts[-1] += beyond
