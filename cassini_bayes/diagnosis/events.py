@@ -11,6 +11,7 @@ from cassini_bayes.effects.effect import Effect, SearchResult
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.gather import axes_at_rest
 from cassini_bayes.model.order import in_order_of_time
 from cassini_bayes.model.posterior import Event
 from cassini_bayes.priors.reader import Priors
@@ -91,7 +92,8 @@ def prepare(
 
     ``kinds`` are the effects that there are; those of the package by default. Causes are weighed by
     momentum: a measured velocity change is left out. What rows with late pulses cannot tell is not
-    weighed where an event has them.
+    weighed where an event has them, nor by slews alone what needs turns about an axis at rest: a
+    finding says so.
     """
     known = standard() if kinds is None else kinds
     events: tuple[Event, ...] = (*rows, *telemetry)
@@ -101,6 +103,8 @@ def prepare(
     if any(event.sampling.block_s > 0.0 for event in telemetry):
         told = tuple(e for e in catalogue.effects if not e.kind.needs_quiet_rows)
         catalogue = replace(catalogue, effects=told)
+    unturned = _unturned(catalogue.effects, telemetry)
+    told = tuple(effect for effect in catalogue.effects if effect not in unturned)
     return Events(
         priors,
         tuple(
@@ -108,5 +112,19 @@ def prepare(
             for event in telemetry
         ),
         tuple(rows),
-        catalogue,
+        replace(catalogue, effects=told),
+        (_not_weighed(unturned),) if unturned else (),
     )
+
+
+def _unturned(effects: Sequence[Effect], telemetry: Sequence[ReducedEvent]) -> tuple[Effect, ...]:
+    """Effects that need turns about axes at rest, where no bias tells them either."""
+    if any(event.kind == "bias" for event in telemetry):
+        return ()
+    rest = set(axes_at_rest(telemetry))
+    return tuple(e for e in effects if e.kind.needs_turns and rest.issuperset(e.target))
+
+
+def _not_weighed(effects: Sequence[Effect]) -> str:
+    names = ", ".join(effect.name for effect in effects)
+    return f"slews: none turns about an axis of {names}: not weighed, as noise alone can draw it"

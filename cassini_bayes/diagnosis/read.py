@@ -57,7 +57,8 @@ def read_events(
     telemetry = [event for event in result if isinstance(event, ReducedEvent)]
     rows = [event for event in result if isinstance(event, TotalsEvent)]
     log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
-    return replace(prepare(telemetry, known, rows, kinds), findings=findings)
+    events = prepare(telemetry, known, rows, kinds)
+    return replace(events, findings=(*findings, *events.findings))
 
 
 def read_estimate_case(

@@ -139,6 +139,9 @@ class Kind:
         Which measurement tells it from another kind, by the other's name.
     needs_quiet_rows
         Whether rows with late pulses cannot tell it: it is not weighed where events have them.
+    needs_turns
+        Whether slews tell it only by turns about an axis of its target (``"xy"``: X or Y). Slews
+        alone that turn about none of these do not weigh it: there noise draws it.
     throughout
         Whether it acts in all events if in any: what a rotor weighs does not change between two.
     """
@@ -159,6 +162,7 @@ class Kind:
     says: Callable[[Sizes, str], str] | None = None
     separation: Mapping[str, str] = field(default_factory=dict)
     needs_quiet_rows: bool = False
+    needs_turns: bool = False
     throughout: bool = False
 
 

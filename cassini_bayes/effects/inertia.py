@@ -22,5 +22,8 @@ def change(physics: Physics, _: Parameters, values: Values, setting: Setting) ->
 
 
 KIND: Final = Kind(
-    "inertia", change, says=Clause("the inertia element {target} is {0}", (("kg m²", 1.0),))
+    "inertia",
+    change,
+    says=Clause("the inertia element {target} is {0}", (("kg m²", 1.0),)),
+    needs_turns=True,
 )

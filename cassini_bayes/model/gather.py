@@ -183,21 +183,30 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
     the share of the rates' noise in the balance and f₀ that at the reference. Beside a slew about
     the axis that is nothing (docs/topics/telemetry-likelihood.md §11).
     """
-    slews = [e for e in events if isinstance(e, ReducedEvent) and e.statistics.kind == "slew"]
-    if not slews:
-        return ()
-    each = []
-    for slew in slews:
-        places = slew.statistics.layout.rate
-        squares = np.einsum("aajj->j", slew.statistics.gram[:, :, places, places])
-        each.append(np.sqrt(squares / slew.statistics.rows))
-    turned = np.max(each, axis=0)
-    largest = float(turned.max())
+    turned = _turned(events)
+    largest = max(turned.values(), default=0.0)
     return tuple(
-        f"slews: none turns about {axis.upper()} ({rate:.2g} rad/s, rms; {largest:.2g} about "
-        f"another axis): noise alone can draw {name} by many standard deviations; "
+        f"slews: none turns about {axis.upper()} ({turned[axis]:.2g} rad/s, rms; {largest:.2g} "
+        f"about another axis): noise alone can draw {name} by many standard deviations; "
         "add a slew about that axis, or fix it in the priors"
-        for axis, rate in zip("xyz", turned, strict=True)
-        if rate < AT_REST * largest
-        and priors.parameters[name := f"inertia_{axis}{axis}_kg_m2"].fixed is None
+        for axis in axes_at_rest(events)
+        if priors.parameters[name := f"inertia_{axis}{axis}_kg_m2"].fixed is None
     )
+
+
+def axes_at_rest(events: Sequence[Event]) -> tuple[str, ...]:
+    """Body axes about which none of the slews turns; none without slews."""
+    turned = _turned(events)
+    largest = max(turned.values(), default=0.0)
+    return tuple(axis for axis, rate in turned.items() if rate < AT_REST * largest)
+
+
+def _turned(events: Sequence[Event]) -> dict[str, float]:
+    """Largest rate (rms over a slew, rad/s) of all slews about every body axis."""
+    each = []
+    for event in events:
+        if isinstance(event, ReducedEvent) and event.statistics.kind == "slew":
+            places = event.statistics.layout.rate
+            squares = np.einsum("aajj->j", event.statistics.gram[:, :, places, places])
+            each.append(np.sqrt(squares / event.statistics.rows))
+    return dict(zip("xyz", np.max(each, axis=0).tolist(), strict=True)) if each else {}
