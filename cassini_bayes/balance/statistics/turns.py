@@ -271,10 +271,7 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
     vectors = rows.vector.shape[2]
     n = len(rows.time_s)
     flat = np.concatenate([rows.vector.reshape(n, -1), rows.scalar], axis=1)
-    turn = slice(layout.turn.start + 2 * vectors, layout.turn.stop + 2 * vectors)
     wheel = slice(layout.wheel.start + 2 * vectors, layout.wheel.stop + 2 * vectors)
-    extra = slice(layout.extra_place.start + 2 * vectors, layout.extra_place.stop + 2 * vectors)
-    over_trapezoids = np.array([column.over_trapezoids for column in sampling.extra])
     times, slopes, waves = [], [np.zeros((0, flat.shape[1]))], [np.zeros((0, SLOPE_WAVES + 1))]
     shown = [np.zeros((0, 2 + 2 * len(layout.wheels)))]
     swings = [[np.zeros((0, flat.shape[1]))] for _ in range(SWING_GROUPS)]
@@ -286,20 +283,11 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         if stop - start < LEAST_PIECE:
             continue
         time = rows.time_s[start:stop]
-        own = _integral(time, flat[start:stop])
-        own[:, extra] *= over_trapezoids
-        # a constant sums up to a ramp, of which nothing but rounding errors would be left
-        is_steady = np.all(flat[start:stop] == flat[start], axis=0)
-        is_steady[turn] = False
-        turns = turns_between(rows.cosines[start:stop])
-        own[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+        own, is_steady = _integrated(rows, flat, slice(start, stop), layout, sampling)
         gained = _integral(time, cosines(time, sampling.duration_s, SLOPE_WAVES + 1))
         basis, group = contrasts_of(time)
         times.append(time.mean())
-        rates = flat[start:stop, wheel]
-        size, centred = (len(time), time[-1] - time[0]), time - time.mean()
-        line = centred @ rates / (centred @ centred)
-        shown.append(np.concatenate([size, rates.mean(axis=0), line])[None])
+        shown.append(_lines(time, flat[start:stop, wheel]))
         slopes.append(basis[1:2] @ own)
         waves.append(basis[1:2] @ gained)
         whole_s3 = walk_square(time, slope_weights(time), sampling.duration_s)
@@ -329,6 +317,34 @@ def turned(rows: Rows, layout: Layout, ends: list[int], sampling: Sampling) -> T
         counts,
         squares,
     )
+
+
+def _integrated(
+    rows: Rows, flat: Array, piece: slice, layout: Layout, sampling: Sampling
+) -> tuple[Array, Flags]:
+    """Integrals (m, ·) of the columns ``flat`` (n, ·) over a piece, turns among them.
+
+    With them which columns are steady: a constant sums up to a ramp, of which nothing but rounding
+    errors would be left.
+    """
+    offset = 2 * rows.vector.shape[2]  # scalar columns come once, vectors for each axis
+    turn = slice(layout.turn.start + offset, layout.turn.stop + offset)
+    extra = slice(layout.extra_place.start + offset, layout.extra_place.stop + offset)
+    result = _integral(rows.time_s[piece], flat[piece])
+    result[:, extra] *= np.array([column.over_trapezoids for column in sampling.extra])
+    turns = turns_between(rows.cosines[piece])
+    result[:, turn] = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+    is_steady = np.all(flat[piece] == flat[piece.start], axis=0)
+    is_steady[turn] = False
+    return result, is_steady
+
+
+def _lines(time_s: Array, rates: Array) -> Array:
+    """Rows, duration, and means and slopes of wheel rates (m, W) over a piece, (1, 2 + 2 W)."""
+    centred = time_s - time_s.mean()
+    slopes = centred @ rates / (centred @ centred)
+    size = (len(time_s), time_s[-1] - time_s[0])
+    return np.concatenate([size, rates.mean(axis=0), slopes])[None]
 
 
 def contrasts_of(time_s: Array) -> tuple[Array, Places]:
