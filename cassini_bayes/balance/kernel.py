@@ -709,7 +709,7 @@ def _contract(
         products[:, :end] = 0.0
         for b in range(start[k], start[k + 1]):
             if gram[b, 0, 0, b] == 0.0 and gram[b, 1, 1, b] == 0.0 and gram[b, 2, 2, b] == 0.0:
-                continue  # thrusters in quiet pieces
+                continue  # zero in this band: cut tails in quiet pieces, turns in rows
             for p in range(second + 1):
                 for c in range(3):
                     x = precision[p, c, 0] * used[p, b, 0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ from cassini_bayes.balance.telemetry_noise import (
 )
 from cassini_bayes.balance.telemetry_weights import balance_weights, turn_weights, walk_weights
 from cassini_bayes.computing.arrays import Array
+
+LEAST_SEEN: Final = 30  # rows or contrasts: their noise is then told to some 10 %
 
 
 def row_information(
@@ -109,6 +112,7 @@ def _noise_seen(
 ) -> dict[str, Array]:
     """Noise of rates and attitudes that is no more than what the fastest rows and turns show.
 
+    That is the fastest band with :data:`LEAST_SEEN` rows or contrasts, the fullest without one.
     Prior means of noise levels are good to a factor only, and what a channel's noise is taken for
     must not exceed all that there is in it.
     """
@@ -121,7 +125,9 @@ def _noise_seen(
     ):
         if len(grams) > 0:
             own = _are(event, columns)
-            largest = np.sqrt(np.diagonal(grams[-1][0, 0])[own].mean() / counts[-1])
+            full = np.flatnonzero(np.array(counts) >= LEAST_SEEN)
+            last = full[-1] if len(full) > 0 else int(np.argmax(counts))
+            largest = np.sqrt(np.diagonal(grams[last][0, 0])[own].mean() / counts[last])
             seen[name] = np.minimum(parameters[name], largest)
     return seen
 

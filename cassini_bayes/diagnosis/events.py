@@ -118,11 +118,13 @@ def prepare(
 
 
 def _unturned(effects: Sequence[Effect], telemetry: Sequence[ReducedEvent]) -> tuple[Effect, ...]:
-    """Effects that need turns about axes at rest, where no bias tells them either."""
-    if any(event.kind == "bias" for event in telemetry):
-        return ()
+    """Effects that need turns about axes at rest, where no other event's firings tell them."""
     rest = set(axes_at_rest(telemetry))
-    return tuple(e for e in effects if e.kind.needs_turns and rest.issuperset(e.target))
+    if not rest or any(event.kind != "slew" and event.thrusters for event in telemetry):
+        return ()
+    return tuple(
+        e for e in effects if e.kind.needs_turns and e.target and rest.issuperset(e.target)
+    )
 
 
 def _not_weighed(effects: Sequence[Effect]) -> str:

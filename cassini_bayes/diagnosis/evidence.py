@@ -12,7 +12,7 @@ import numpy as np
 from cassini_bayes.computing.log import Log
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.modes import Mode
+from cassini_bayes.diagnosis.modes import LogDensity, Mode, maximise, mode_near
 from cassini_bayes.diagnosis.search import (
     UNSURE_NATS,
     ModeSearch,
@@ -34,6 +34,7 @@ Candidate = Weighed[Hypothesis]
 LEAST_EFFICIENCY: Final = 0.1
 """Of importance draws, below which the curvature is taken anew: 20 effective draws of 200 leave the
 evidence 0.2 nats unsure."""
+LEAST_HIGHER: Final = 1.0  # nats, of another mode: less is within what Laplace's evidence lacks
 FEW_DRAWS: Final = 200
 """Of every cause near the best: an evidence good to 0.05 nats at an efficiency of 0.7, where a
 probability of a few percent is all that is asked."""
@@ -117,8 +118,9 @@ def importance_sampled(
 ) -> Candidate:
     """The evidence by importance sampling from the Laplace approximation.
 
-    Where that was poor the curvature is taken anew, and refined by the draws themselves if that
-    helps. What was sampled before is sampled again from the proposal found then.
+    Where that was poor the curvature is taken anew, a higher mode is looked for at the draw of most
+    weight, and the proposal is refined by the draws themselves if that helps. What was sampled
+    before is sampled again from the proposal found then.
     """
     return _with_draws(weighed, *_draw(weighed, rng, draws))
 
@@ -135,12 +137,26 @@ def _draw(
         mode = with_whole_curvature(weighed.hypothesis, mode)
         proposal = Proposal(mode.point, mode.factor, DOF)
         sampled = importance(density, proposal, rng, draws)
+    if _is_poor(sampled) and (higher := _higher_mode(density, mode, sampled)) is not None:
+        mode, proposal = higher, Proposal(higher.point, higher.factor, DOF)
+        sampled = importance(density, proposal, rng, draws)
     if _is_poor(sampled):
         turned = refined(proposal, sampled)
         again = importance(density, turned, rng, 2 * draws)
         if again.efficiency > sampled.efficiency:
             proposal, sampled = turned, again
     return mode, proposal, sampled
+
+
+def _higher_mode(density: LogDensity, mode: Mode, draws: ImportanceDraws) -> Mode | None:
+    """A mode of more evidence near the draw of most weight, if there is one.
+
+    The search may have ended at the lesser of two: then the few draws that reach the other one have
+    all the weight.
+    """
+    heaviest = draws.z[int(draws.log_weights.argmax())]
+    found = mode_near(density, maximise(density, heaviest, mode.factor), mode.factor)
+    return found if found.log_evidence > mode.log_evidence + LEAST_HIGHER else None
 
 
 def _is_poor(draws: ImportanceDraws) -> bool:

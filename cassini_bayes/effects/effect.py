@@ -140,8 +140,9 @@ class Kind:
     needs_quiet_rows
         Whether rows with late pulses cannot tell it: it is not weighed where events have them.
     needs_turns
-        Whether slews tell it only by turns about an axis of its target (``"xy"``: X or Y). Slews
-        alone that turn about none of these do not weigh it: there noise draws it.
+        Whether slews tell it only by turns about an axis of its target, which is made of axes
+        (``"xy"``: X or Y). Slews alone that turn about none of these do not weigh it: there noise
+        draws it.
     throughout
         Whether it acts in all events if in any: what a rotor weighs does not change between two.
     """

@@ -100,7 +100,10 @@ def test_noise_in_the_integrals_of_a_piece_is_that_of_the_whole_matrix(rows: int
 
 @pytest.mark.parametrize("rows", [2, 3, 4, 9, 33, 400])
 def test_contrasts_are_orthonormal_and_grouped_by_their_noise(rows: int) -> None:
-    """Within a group of half periods what is summed up differs little; from group to group much."""
+    """Within a group of half periods what is summed up differs little; from group to group much.
+
+    The last group is all that the basis leaves: there the attitude's noise is by far the most.
+    """
     rng = np.random.default_rng(rows)
     time = 100.0 + np.cumsum(rng.uniform(0.9, 1.1, rows)) * min(1.0, 32.0 / rows)
     basis, group = contrasts_of(time)
@@ -114,7 +117,7 @@ def test_contrasts_are_orthonormal_and_grouped_by_their_noise(rows: int) -> None
     summed = noise_squares(time, basis)[0][2:, 0] / np.median(np.diff(time)) ** 2
     for g in set(group.tolist()):
         own = summed[group == g]
-        assert np.mean(own**2) < 1.5 * np.mean(own) ** 2  # 5 over all contrasts of 32 rows
+        assert np.mean(own**2) < 1.5 * np.mean(own) ** 2  # 7.5 over all contrasts of 33 rows
         assert own.max() < 8.0 * own.min()
     if rows == 33:
         assert np.mean(summed**2) > 2.5 * np.mean(summed) ** 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import cast
+from typing import Final, cast
 
 import numpy as np
 import pytest
@@ -272,3 +272,41 @@ def test_a_second_sampling_starts_from_the_proposal_found() -> None:
     assert abs(first.log_evidence - second.log_evidence) < 4.0 * error
     assert second.z is not None
     assert len(second.z) == 4_000
+
+
+TWO_MODES: Final = 0.3, 0.1  # widths along three axes
+BETWEEN: Final = 1.1  # along the first
+SECOND_NATS: Final = 4.0  # of evidence beyond that of the first
+
+
+def two_modes(z: Array) -> Array:
+    """A density with evidence 1 about zero and exp(4) about a second, narrower mode."""
+    wide, narrow = TWO_MODES
+    away = z - BETWEEN * np.eye(1, z.shape[-1])[0]
+    first = -0.5 * (z**2).sum(-1) / wide**2 - z.shape[-1] * np.log(wide)
+    second = -0.5 * (away**2).sum(-1) / narrow**2 - z.shape[-1] * np.log(narrow)
+    constant = 0.5 * z.shape[-1] * np.log(2.0 * np.pi)
+    return np.asarray(np.logaddexp(first, second + SECOND_NATS) - constant)
+
+
+@pytest.mark.parametrize("is_looked_for", [True, False])
+def test_draws_that_reach_a_higher_mode_lead_to_it(
+    is_looked_for: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search that ended at the lesser mode: its draws' weights show the other one."""
+    if not is_looked_for:
+        monkeypatch.setattr(evidence, "_higher_mode", lambda *_: None)
+    lesser = find_mode(two_modes, 3)
+    np.testing.assert_allclose(lesser.point, 0.0, atol=0.01)
+    rough = Weighed(hypothesis(two_modes, 3), lesser, lesser.log_evidence)
+    found = importance_sampled(rough, np.random.default_rng(2), 2_000)
+    assert found.log_weights is not None
+    effective = 1.0 / np.exp(2.0 * found.log_weights).sum()
+    if is_looked_for:
+        # the lesser mode, with 1.8 % of the evidence, is out of reach of the narrow one's draws
+        assert found.mode.point[0] == pytest.approx(BETWEEN, abs=0.01)
+        assert found.log_evidence == pytest.approx(np.log1p(np.exp(SECOND_NATS)), abs=0.1)
+        assert effective > 1_000.0
+    else:
+        assert found.mode.point[0] == pytest.approx(0.0, abs=0.01)
+        assert effective < 100.0

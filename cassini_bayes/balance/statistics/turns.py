@@ -54,7 +54,7 @@ class Turned:
     Whatever is constant within a piece (cut tails, rounded counters, torque noise gathered before)
     is in the slopes alone. The m − 2 others are **swings**, in G = 4 groups by their half periods
     (:data:`HALF_PERIODS_S`), slow ones first: attitude noise is the same in all of them, noise of
-    rows is summed up, and a hundred times more in the slowest than in the fastest.
+    rows is summed up, two hundred times more in the slowest group than in the fastest (1 Hz).
 
     ``slopes`` (p, 3 V + S) are vector columns (axis first) and scalar columns, one row for every
     piece at ``time_s`` (p,); ``waves`` (p, 1 + M) are those of the cosines cos(m π t/T), m = 0 … M,
