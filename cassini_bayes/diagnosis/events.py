@@ -103,7 +103,7 @@ def prepare(
     if any(event.sampling.block_s > 0.0 for event in telemetry):
         told = tuple(e for e in catalogue.effects if not e.kind.needs_quiet_rows)
         catalogue = replace(catalogue, effects=told)
-    unturned = _unturned(catalogue.effects, telemetry)
+    unturned = not_turned(catalogue.effects, telemetry)
     told = tuple(effect for effect in catalogue.effects if effect not in unturned)
     return Events(
         priors,
@@ -117,7 +117,7 @@ def prepare(
     )
 
 
-def _unturned(effects: Sequence[Effect], telemetry: Sequence[ReducedEvent]) -> tuple[Effect, ...]:
+def not_turned(effects: Sequence[Effect], telemetry: Sequence[ReducedEvent]) -> tuple[Effect, ...]:
     """Effects that need turns about axes at rest, where no other event's firings tell them."""
     rest = set(axes_at_rest(telemetry))
     if not rest or any(event.kind != "slew" and event.thrusters for event in telemetry):

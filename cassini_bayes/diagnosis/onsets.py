@@ -26,7 +26,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Beginning, H, Weighed
-from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.events import Events, not_turned
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
 from cassini_bayes.diagnosis.innovations import effect_columns, innovations
 from cassini_bayes.effects.effect import Effect, Remainder, onsets
@@ -110,7 +110,22 @@ class Beginnings:
             linear = None if remainder is None else remainder.linear
             return linear_model(full, z, linear, choose, order)
 
-        return cls.of_information(effects, order, events.catalogue.odds, information)
+        found = cls.of_information(effects, order, events.catalogue.odds, information)
+        return found._told_by(events)
+
+    def _told_by(self, events: Events) -> Beginnings:
+        """Without beginnings from which on slews alone do not turn about an axis of the cause.
+
+        They are told by noise (:func:`.events.not_turned`): gains of nothing, as of a cause that
+        does nothing any more.
+        """
+        told = np.ones(self.gains.shape, dtype=bool)
+        for o in range(1, len(self.order)):
+            after = [event for event in events.telemetry if event.id in self.order[o:]]
+            untold = not_turned(self.effects, after)
+            told[:, o] = [not any(effect is one for one in untold) for effect in self.effects]
+        gains, factors = (np.where(told, own, 0.0) for own in (self.gains, self.factors))
+        return replace(self, gains=gains, factors=factors)
 
     def likely(self) -> list[Effect]:
         """Every cause throughout, and from such events on as may come near the best."""

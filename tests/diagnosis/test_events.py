@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cassini_bayes.diagnosis.events import prepare
+from cassini_bayes.diagnosis.hypotheses import none_hypothesis
+from cassini_bayes.diagnosis.innovations import innovations
+from cassini_bayes.diagnosis.onsets import Beginnings
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.priors.reader import Priors, read_priors
@@ -62,3 +66,16 @@ def test_a_bias_tells_the_inertia_of_all_axes(priors: Priors) -> None:
     weighed = {effect.target for effect in events.catalogue.effects if effect.kind.needs_turns}
     assert weighed == {"xx", "yy", "zz", "xy", "xz", "yz"}
     assert not events.findings
+
+
+def test_what_begins_with_slews_is_told_by_their_turns(priors: Priors) -> None:
+    """Of a bias and slews about X: from the slews on only what these turn about."""
+    events = prepare(flown(priors, "x", ("bias", "slew")), priors)
+    full = none_hypothesis(events)
+    z = np.zeros(full.dimension)
+    weighed = [effect for effect in events.catalogue.effects if effect.kind.needs_turns]
+    found = Beginnings.of(full, z, innovations(full, z), weighed, events)
+    assert found.order == ("bias-1", "slews")
+    each = zip(found.effects, found.factors[:, 1], strict=True)
+    assert {effect.target for effect, factor in each if factor} == {"xx", "xy", "xz"}
+    assert np.all(found.factors[:, 0] != 0.0)
