@@ -46,6 +46,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     explanations,
     likeliest,
     with_scaled_rates,
+    without_cut_pulses,
 )
 from cassini_bayes.events.plausibility.momentum import Correction
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector
@@ -657,6 +658,23 @@ def test_rows_between_equal_counters_are_used(honest: dict[str, Event]) -> None:
     # filled in with what the counters were
     place = np.searchsorted(chunk.time_s, rows.time_s)
     np.testing.assert_array_equal(rows.on_time_s, chunk.on_time_s[place])
+
+
+def test_readings_amid_pulses_are_no_mistake(tmp_path: Path) -> None:
+    """A row in the middle of a pulse has counted a tail that is still to come."""
+    document = copy.deepcopy(dict(DOCUMENT))
+    each = ("attitude", "rate", "wheel", "counter")
+    document["telemetry"] |= {f"{name}_every_s": 0.025 for name in each}
+    document["telemetry"] |= {"rate_noise_rad_s": 2e-7, "wheel_resolution_rpm": 0.1}
+    document["event"] = document["event"][:1]
+    write_simulation(simulate_file(scenario_of(document), 5), tmp_path)
+    event = read_event(tmp_path / "bias", CASSINI)
+    amid = rows_of_chunk(load_event(event, CASSINI), slice(2, None, 40))
+    # one pulse in eight begins so; by another simulator all did, with a misfit of 200
+    cut = evidence_of(event, amid)
+    assert cut.misfit() > 25.0
+    assert without_cut_pulses(cut).misfit() < 0.5 * cut.misfit()
+    check_telemetry(event, [amid], CASSINI, NOMINAL)
 
 
 def rows_of_chunk(chunk: Chunk, part: slice) -> Chunk:

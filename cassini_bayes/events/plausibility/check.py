@@ -22,6 +22,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     with_noise_of_lags,
     with_scaled_rates,
     with_swing,
+    without_cut_pulses,
 )
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
@@ -131,6 +132,8 @@ class TelemetryCheck:
             self._check_still_rates(motion, findings)
         evidence = Evidence(self._nominal, motion, rows)
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
+        if misfit > SUSPECT and (whole := without_cut_pulses(evidence)).misfit() <= SUSPECT:
+            evidence, misfit = whole, whole.misfit()
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()

@@ -180,6 +180,19 @@ def with_swing(evidence: Evidence) -> Evidence:
     return replace(evidence, swing_hz=line)
 
 
+def without_cut_pulses(evidence: Evidence) -> Evidence:
+    """The same without rows amid a pulse, if enough stay: the next has on-time of no new pulse.
+
+    Such a row counts the pulse, and its tail with it, and has neither the rest of it nor the tail.
+    """
+    rows = evidence.rows
+    if rows is None:
+        return evidence
+    gained, begun = np.diff(rows.on_time_s, axis=0), np.diff(rows.pulses, axis=0)
+    whole = np.append(~np.any((gained > 0.0) & (begun == 0.0), axis=1), True)
+    return evidence if whole.mean() < MOST_OF_ROWS else replace(evidence, rows=rows.only(whole))
+
+
 def with_noise_of_lags(evidence: Evidence) -> Evidence:
     """The same with no more noise than counters leave that come late or early.
 
