@@ -103,8 +103,9 @@ def prepare(
     if any(event.sampling.block_s > 0.0 for event in telemetry):
         told = tuple(e for e in catalogue.effects if not e.kind.needs_quiet_rows)
         catalogue = replace(catalogue, effects=told)
-    unturned = not_turned(catalogue.effects, telemetry)
-    told = tuple(effect for effect in catalogue.effects if effect not in unturned)
+    untold = untold_axes(telemetry)
+    told = tuple(e for e in catalogue.effects if not turns_only_about(e, untold))
+    left_out = [e.name for e in catalogue.effects if turns_only_about(e, untold)]
     return Events(
         priors,
         tuple(
@@ -113,20 +114,22 @@ def prepare(
         ),
         tuple(rows),
         replace(catalogue, effects=told),
-        (_not_weighed(unturned),) if unturned else (),
+        (_not_weighed(left_out),) if left_out else (),
     )
 
 
-def not_turned(effects: Sequence[Effect], telemetry: Sequence[ReducedEvent]) -> tuple[Effect, ...]:
-    """Effects that need turns about axes at rest, where no other event's firings tell them."""
-    rest = set(axes_at_rest(telemetry))
-    if not rest or any(event.kind != "slew" and event.thrusters for event in telemetry):
-        return ()
-    return tuple(
-        e for e in effects if e.kind.needs_turns and e.target and rest.issuperset(e.target)
-    )
+def untold_axes(telemetry: Sequence[ReducedEvent]) -> frozenset[str]:
+    """Axes about which no slew turns, where no other event's firings tell of them either."""
+    if any(event.kind != "slew" and event.thrusters for event in telemetry):
+        return frozenset()
+    return frozenset(axes_at_rest(telemetry))
 
 
-def _not_weighed(effects: Sequence[Effect]) -> str:
-    names = ", ".join(effect.name for effect in effects)
+def turns_only_about(effect: Effect, axes: frozenset[str]) -> bool:
+    """Whether an effect needs turns, and about none but these axes."""
+    return effect.kind.needs_turns and effect.target != "" and axes.issuperset(effect.target)
+
+
+def _not_weighed(causes: Sequence[str]) -> str:
+    names = ", ".join(causes)
     return f"slews: none turns about an axis of {names}: not weighed, as noise alone can draw it"

@@ -12,7 +12,7 @@ import numpy as np
 from cassini_bayes.computing.log import Log
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.modes import LogDensity, Mode, maximise, mode_near
+from cassini_bayes.diagnosis.modes import LogDensity, Mode, mode_from
 from cassini_bayes.diagnosis.search import (
     UNSURE_NATS,
     ModeSearch,
@@ -155,7 +155,7 @@ def _higher_mode(density: LogDensity, mode: Mode, draws: ImportanceDraws) -> Mod
     all the weight.
     """
     heaviest = draws.z[int(draws.log_weights.argmax())]
-    found = mode_near(density, maximise(density, heaviest, mode.factor), mode.factor)
+    found = mode_from(density, replace(mode, point=heaviest))
     return found if found.log_evidence > mode.log_evidence + LEAST_HIGHER else None
 
 

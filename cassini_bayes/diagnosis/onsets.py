@@ -26,7 +26,7 @@ from scipy.special import logsumexp, ndtr, ndtri
 from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Beginning, H, Weighed
-from cassini_bayes.diagnosis.events import Events, not_turned
+from cassini_bayes.diagnosis.events import Events, turns_only_about, untold_axes
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend
 from cassini_bayes.diagnosis.innovations import effect_columns, innovations
 from cassini_bayes.effects.effect import Effect, Remainder, onsets
@@ -116,14 +116,14 @@ class Beginnings:
     def _told_by(self, events: Events) -> Beginnings:
         """Without beginnings from which on slews alone do not turn about an axis of the cause.
 
-        They are told by noise (:func:`.events.not_turned`): gains of nothing, as of a cause that
+        They are told by noise (:func:`.events.untold_axes`): gains of nothing, as of a cause that
         does nothing any more.
         """
         told = np.ones(self.gains.shape, dtype=bool)
         for o in range(1, len(self.order)):
             after = [event for event in events.telemetry if event.id in self.order[o:]]
-            untold = not_turned(self.effects, after)
-            told[:, o] = [not any(effect is one for one in untold) for effect in self.effects]
+            untold = untold_axes(after)
+            told[:, o] = [not turns_only_about(effect, untold) for effect in self.effects]
         gains, factors = (np.where(told, own, 0.0) for own in (self.gains, self.factors))
         return replace(self, gains=gains, factors=factors)
 

@@ -132,8 +132,10 @@ class TelemetryCheck:
             self._check_still_rates(motion, findings)
         evidence = Evidence(self._nominal, motion, rows)
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
-        if misfit > SUSPECT and (whole := without_cut_pulses(evidence)).misfit() <= SUSPECT:
-            evidence, misfit = whole, whole.misfit()
+        if misfit > SUSPECT:
+            whole = without_cut_pulses(evidence)
+            if (left := whole.misfit()) <= SUSPECT:
+                evidence, misfit = whole, left
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()

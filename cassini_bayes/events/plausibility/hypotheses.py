@@ -190,7 +190,9 @@ def without_cut_pulses(evidence: Evidence) -> Evidence:
         return evidence
     gained, begun = np.diff(rows.on_time_s, axis=0), np.diff(rows.pulses, axis=0)
     whole = np.append(~np.any((gained > 0.0) & (begun == 0.0), axis=1), True)
-    return evidence if whole.mean() < MOST_OF_ROWS else replace(evidence, rows=rows.only(whole))
+    if whole.all() or whole.mean() < MOST_OF_ROWS:
+        return evidence
+    return replace(evidence, rows=rows.only(whole))
 
 
 def with_noise_of_lags(evidence: Evidence) -> Evidence:
