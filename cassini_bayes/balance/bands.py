@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
-from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, wheel_squares
+from cassini_bayes.balance.rounded_wheels import HARMONICS, ShownRows, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics
 from cassini_bayes.balance.statistics.columns import cosines, walk_cosines, walk_scales
 from cassini_bayes.balance.statistics.reduction import TurnStatistics
@@ -106,10 +106,14 @@ def make_bands(statistics: EventStatistics) -> Bands:
     waves = cosines(time, statistics.duration_s, len(turned))
     places, on_modes = Places(time, waves, counters.stride), waves @ turned
     left_open = open_modes(statistics, places, on_modes)
-    step = statistics.steps.wheel_rad_s
-    of_wheels, everywhere = wheel_squares(
-        statistics.shown.rate_rad_s, step, on_modes, counters.stride
+    shown = ShownRows(
+        time,
+        statistics.shown.rate_rad_s,
+        statistics.steps.wheel_rad_s,
+        counters.stride,
+        counters.averaged,
     )
+    of_wheels, everywhere = wheel_squares(shown, on_modes)
     # thrusters that fire in every interval answer what is late, at all frequencies that are left
     turning = statistics.kind == "slew" or statistics.counters.has_late_pulses
     still = SPARSE_STILL if is_sparse(statistics) else STILL

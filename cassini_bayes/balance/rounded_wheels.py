@@ -1,11 +1,12 @@
-"""Rounded wheel rates: where a wheel rests its rounding lasts, elsewhere it is noise of every row.
+"""Rounded wheel rates: where a wheel rests its rounding lasts, where it is driven it repeats.
 
 A wheel that passes one printed value after the other has a rounding that is another in every row:
-white noise of Δ²/12 beside that of the measurement. While a wheel rests, the rounding is the same
-in all rows. How much a reading scatters then depends on where between two printed values the wheel
-is, which is not known, but the scatter itself is seen. So rows at rest have the variance that they
-show, one lasting error on top, and where readings change the slow motion that they show
-(docs/topics/telemetry-likelihood.md §11).
+noise of Δ²/12 beside that of the measurement. It is white unless the wheel is driven evenly: then
+it comes back with every step, as lines (:func:`between_steps`). While a wheel rests, the rounding
+is the same in all rows. How much a reading scatters then depends on where between two printed
+values the wheel is, which is not known, but the scatter itself is seen. So rows at rest have the
+variance that they show, one lasting error on top, and where readings change the slow motion that
+they show (docs/topics/telemetry-likelihood.md §11).
 """
 
 from __future__ import annotations
@@ -25,20 +26,23 @@ WINDOW: Final = 8  # rows on either side; a wheel that gains a step between thei
 # rests; more than that is noise of half a step and more, which leaves nothing of a rounding.
 DITHERED: Final = 0.3
 LEAST_DRIFT: Final = 2 * WINDOW  # rows at rest for every cosine that tells slow motion
+LINES: Final = (128, 64, 32, 16, 8)  # rows on either side of a straight line through readings
+LEAST_GAIN: Final = 3.0  # steps along a line: with fewer it follows the staircase, not the wheel
+LEAST_LIKE: Final = 0.5  # ratio of slopes of a line's halves, for a wheel that is driven evenly
 
 
 @dataclass(frozen=True)
 class WheelSquares:
     """Mean squares of the noise of W measured wheel rates over some modes or rows.
 
-    The variance of a wheel is σ² ``moving`` + ``seen`` + Δ²/12 (``moving`` + b ``lasting``): σ is
-    the noise of the measurement, Δ the step and b the share of the rounding that lasts at that
-    noise.
+    The variance of a wheel is σ² m + s + Δ²/12 ((1 − Σ b_k) m + Σ_k b_k l_k), with ``moving`` m,
+    ``seen`` s and ``lasting`` l: σ is the noise of the measurement, Δ the step, and b_k the share
+    of the rounding in harmonic k that repeats at that noise (:func:`coherent_shares`).
     """
 
     moving: Array  # (W,) rows in which it moves
     seen: Array  # (W,) rad²/s², what rows at rest scatter, and how they drift
-    lasting: Array  # (W,) of a rounding that lasts, over that of a single row
+    lasting: Array  # (H, W) of a rounding that lasts or repeats, over that of a single row
 
     def __sub__(self, other: WheelSquares) -> WheelSquares:
         """What is left of sums of squares; rounding of the arithmetic leaves no less than none."""
@@ -54,7 +58,7 @@ class WheelSquares:
         )
 
     def of_modes(self, start: int, stop: int) -> WheelSquares:
-        """Sums over some modes of squares (M, W)."""
+        """Sums over some modes of squares (M, …)."""
         parts = (self.moving, self.seen, self.lasting)
         return WheelSquares(*(part[start:stop].sum(axis=0) for part in parts))
 
@@ -81,15 +85,15 @@ class Rests:
         return np.diff(self.starts, append=len(self.moving))
 
 
-def rests(levels: Array) -> Rests:
-    """Where a wheel whose printed rates are whole numbers (r,) of steps rests.
+def rests(time_s: Array, levels: Array) -> Rests:
+    """Where a wheel whose printed rates at times (r,) are whole numbers (r,) of steps rests.
 
-    It moves where it gains a step over the window, or passes through a printed value: comes from
-    one side and leaves on the other, for good. Readings that change to and fro are one stretch at
-    rest, and scatter by half the mean square of their differences. Half a reading of another value
-    is added (Jeffreys' prior of a rare event): n readings alike do not say that there is no noise.
-    Where they scatter by more than two values can (:data:`DITHERED`), rounding is white in all
-    rows, as in one that moves.
+    It moves where it gains a step over the window or is driven evenly (:func:`between_steps`), or
+    passes through a printed value: comes from one side and leaves on the other, for good. Readings
+    that change to and fro are one stretch at rest, and scatter by half the mean square of their
+    differences. Half a reading of another value is added (Jeffreys' prior of a rare event): n
+    readings alike do not say that there is no noise. Where they scatter by more than two values can
+    (:data:`DITHERED`), rounding is white in all rows, as in one that moves.
     """
     rows = len(levels)
     total = np.concatenate([[0.0], np.cumsum(levels)])
@@ -98,6 +102,7 @@ def rests(levels: Array) -> Rests:
     mean_before = (total[at] - total[before]) / np.maximum(at - before, 1)
     mean_after = (total[after] - total[at]) / (after - at)
     moving = (np.abs(mean_after - mean_before) > 1.0) & (at > before)
+    moving |= between_steps(time_s, levels)[1]
     change = np.diff(levels)
     edges = np.flatnonzero(change) + 1
     came, left = edges[:-1], edges[1:]
@@ -120,6 +125,48 @@ def rests(levels: Array) -> Rests:
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
 
 
+def between_steps(time_s: Array, levels: Array) -> tuple[Array, Flags]:
+    """The rate (n,) of a wheel, in steps, from printed ones (n,) that are whole numbers of steps.
+
+    Readings about a row have unlike roundings where the wheel moves, so that a straight line
+    through them is known much better than one reading: to 0.05 steps by 32 of them. Every row has
+    the shortest line of :data:`LINES` along which the wheel gains :data:`LEAST_GAIN`, or the
+    longest there is. Also returns which rows (n,) have such a line whose halves are alike: there
+    the wheel is driven evenly, and does not rest before or after a turn.
+    """
+    n, time = len(levels), time_s - time_s.mean()
+    rate, driven = levels, np.zeros(n, dtype=np.bool_)
+    sums = np.stack([np.ones(n), time, levels, time**2, time * levels])
+    sums = np.concatenate([np.zeros((5, 1)), sums.cumsum(axis=1)], axis=1)
+    for half in LINES:
+        # rows near either end have the line through as many rows there
+        first = np.clip(np.arange(n) - half, 0, max(n - 2 * half - 1, 0))
+        stop = np.minimum(first + 2 * half + 1, n)
+        middle = (first + stop) // 2
+        height, slope = _straight_lines(sums, time, first, stop)
+        _, before = _straight_lines(sums, time, first, middle)
+        _, after = _straight_lines(sums, time, middle, stop)
+        long = np.abs(slope) * (time[stop - 1] - time[first]) >= LEAST_GAIN
+        rate = np.where(long | (half == LINES[0]), height, rate)
+        ends = np.sort(np.stack([before, after]) * np.sign(slope), axis=0)
+        driven |= long & (ends[0] > LEAST_LIKE * ends[1])
+    return rate, driven
+
+
+def _straight_lines(
+    sums: Array, time: Array, first: NDArray[np.intp], stop: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Lines through rows from ``first`` to ``stop`` (n,): values at every row, slopes (n,).
+
+    ``sums`` (5, 1 + n) are those of 1, t, y, t² and t y over all rows before.
+    """
+    count, t, y, square, mixed = sums[:, stop] - sums[:, first]
+    count = np.maximum(count, 1.0)
+    spread = square / count - (t / count) ** 2
+    slope = (mixed / count - t * y / count**2) / np.where(spread > 0.0, spread, np.inf)
+    return y / count + slope * (time - t / count), slope
+
+
 def coherent_shares(noise: Array) -> Array:
     """Shares (n, H) of the square of a rounding that repeat where a wheel's rate does.
 
@@ -137,14 +184,29 @@ def coherent_shares(noise: Array) -> Array:
     return np.concatenate([each[:, : HARMONICS - 1], last], axis=1)
 
 
-def long_stretches(rates: Array, step: float, least: int) -> list[tuple[int, slice]]:
+@dataclass(frozen=True)
+class ShownRows:
+    """Printed wheel rates (r, W) at times (r,), s, in steps of ``step``, evenly thinned.
+
+    Each row stands for ``stride`` of them. They are means over ``averaged`` rows, and if over more
+    than one, next to nothing is in them of roundings that come back with every step.
+    """
+
+    time_s: Array
+    rates: Array
+    step: float
+    stride: int = 1
+    averaged: float = 1.0
+
+
+def long_stretches(shown: ShownRows, least: int) -> list[tuple[int, slice]]:
     """Wheel and rows of all stretches of at least so many rows in which a rounding lasts.
 
-    ``rates`` (r, W) are printed in steps; those without a step have none.
+    Wheels without a step have none.
     """
-    if step == 0.0:
+    if shown.step == 0.0:
         return []
-    each = [rests(np.round(own / step)) for own in rates.T]
+    each = [rests(shown.time_s, np.round(own / shown.step)) for own in shown.rates.T]
     return [
         (wheel, slice(start, start + length))
         for wheel, own in enumerate(each)
@@ -153,37 +215,61 @@ def long_stretches(rates: Array, step: float, least: int) -> list[tuple[int, sli
     ]
 
 
-def wheel_squares(
-    rates: Array, step: float, on_modes: Array, stride: int
-) -> tuple[WheelSquares, WheelSquares]:
-    """Sums of squares of the noise of wheel rates (r, W): on every mode (M, W), on all rows (W,).
+def wheel_squares(shown: ShownRows, on_modes: Array) -> tuple[WheelSquares, WheelSquares]:
+    """Sums of squares of the noise of wheel rates: on every mode (M, …), on all rows (…).
 
-    ``on_modes`` (r, M) are the modes at these rows, each of which stands for ``stride`` rows.
+    ``on_modes`` (r, M) are the modes at the rows shown.
     """
+    rates, step, stride = shown.rates, shown.step, shown.stride
     modes, wheels, rows = on_modes.shape[1], rates.shape[1], stride * len(rates)
     if step == 0.0:
-        none = np.zeros(wheels)
-        everywhere = WheelSquares(np.full(wheels, float(rows)), none, none)
-        return WheelSquares(*(np.tile(s, (modes, 1)) for s in (none + 1.0, none, none))), everywhere
+        none, lasting = np.zeros(wheels), np.zeros((HARMONICS, wheels))
+        everywhere = WheelSquares(np.full(wheels, float(rows)), none, lasting)
+        one, nothing = np.ones((modes, wheels)), np.zeros((modes, wheels))
+        return WheelSquares(one, nothing, np.tile(lasting, (modes, 1, 1))), everywhere
     square = on_modes**2
-    on, over = np.zeros((3, modes, wheels)), np.zeros((3, wheels))
+    on, over = np.zeros((2, modes, wheels)), np.zeros((2, wheels))
+    lasting, lasting_over = np.zeros((modes, HARMONICS, wheels)), np.zeros(wheels)
     for j, levels in enumerate(np.round(rates.T / step)):
-        found = rests(levels)
+        found = rests(shown.time_s, levels)
         lengths = found.lengths
         together = np.add.reduceat(on_modes, found.starts) ** 2
         at_rest = np.where(lengths > 1, stride**2, 0.0)
         by_row = np.stack([found.moving.astype(np.float64), step**2 * found.variance])
-        on[:2, :, j] = stride * by_row @ square
-        on[2, :, j] = at_rest @ together
-        over[:2, j] = stride * by_row.sum(axis=1)
-        over[2, j] = stride * lengths[lengths > 1].sum()
+        on[:, :, j] = stride * by_row @ square
+        over[:, j] = stride * by_row.sum(axis=1)
+        lasting[:, :, j] = (at_rest @ together)[:, None]
+        lasting_over[j] = stride * lengths[lengths > 1].sum()
+        if shown.averaged > 1.0:
+            lasting[:, :, j] += on[0, :, j, None] / shown.averaged
+        else:
+            lasting[:, :, j] += _repeating(shown, levels, found.moving, on_modes)
+        lasting_over[j] += over[0, j] / shown.averaged
         for stretch in np.flatnonzero(lengths >= LEAST_DRIFT):
             start = found.starts[stretch]
             part = slice(start, start + lengths[stretch])
             drifts = step * _slow_motion(levels[part], found.variance[start])
             on[1, :, j] += stride**2 * ((drifts @ on_modes[part]) ** 2).sum(axis=0)
             over[1, j] += stride * (drifts**2).sum()
-    return WheelSquares(*on), WheelSquares(*over)
+    of_all = np.tile(lasting_over, (HARMONICS, 1))
+    return WheelSquares(on[0], on[1], lasting), WheelSquares(over[0], over[1], of_all)
+
+
+def _repeating(shown: ShownRows, levels: Array, moving: Flags, on_modes: Array) -> Array:
+    """Squares (M, H) on modes of harmonics of the rounding in rows in which a wheel moves.
+
+    Harmonic k is |Σ φ exp(2π i k ρ)|² with ρ the rate in steps. What passes more than half a step
+    from row to row looks slow in rows that are thinned, and is not.
+    """
+    rate, _ = between_steps(shown.time_s, levels)
+    faster = np.abs(np.gradient(rate)) if shown.stride > 1 else np.zeros(len(rate))
+    squares = np.zeros((on_modes.shape[1], HARMONICS))
+    for k in range(1, HARMONICS + 1):
+        at = shown.stride * (moving & (k * faster <= 0.5))
+        phase = 2.0 * np.pi * k * rate
+        waves = np.stack([at * np.cos(phase), at * np.sin(phase)])
+        squares[:, k - 1] = ((waves @ on_modes) ** 2).sum(axis=0)
+    return squares
 
 
 def _slow_motion(shown: Array, white: float) -> Array:

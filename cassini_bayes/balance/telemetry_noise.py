@@ -6,7 +6,7 @@ Derivations: docs/topics/telemetry-likelihood.md §3, §5 and §7.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -54,7 +54,7 @@ def wheel_covariance(
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
-    return _wheel_variances(event, parameters, event.wheels, _lasting(event, parameters))
+    return _wheel_variances(event, parameters, event.wheels)
 
 
 def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -66,29 +66,33 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    bands, lasting = (*event.slow, *event.fast), _lasting(event, parameters)
-    each = [_wheel_variances(event, parameters, band.wheels, lasting) for band in bands]
+    bands = (*event.slow, *event.fast)
+    each = [_wheel_variances(event, parameters, band.wheels) for band in bands]
     return np.ascontiguousarray(np.stack(each, axis=1))
 
 
-def _lasting(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Share (n, 1) of the rounding of wheel rates that lasts at rest."""
-    return np.asarray(lasting_shares(event, parameters).sum(axis=1)[:, None])
-
-
 def _wheel_variances(
-    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, lasting: Array
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
 ) -> Array:
     """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
-    noise = (parameters["wheel_noise_rpm"] * RAD_S_PER_RPM)[:, None]
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    of_row = (noise**2 + rounding) / event.statistics.counters.averaged
-    white = of_row * squares.moving + squares.seen
-    return np.asarray(white + rounding * lasting * squares.lasting)
+    repeated = rounding * lasting_shares(event, parameters) @ squares.lasting
+    return _white_variances(event, parameters, squares) + np.asarray(repeated)
+
+
+def _white_variances(
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+) -> Array:
+    """The same (n, W) but for roundings that last or repeat."""
+    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
+    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
+    rounding = rounding * (1.0 - lasting_shares(event, parameters).sum(axis=1))
+    of_row = (noise**2 + rounding)[:, None] / event.statistics.counters.averaged
+    return np.asarray(of_row * squares.moving + squares.seen)
 
 
 def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Shares (n, H) of the rounding of wheel rates that last at rest; none without steps."""
+    """Shares (n, H) of the rounding of wheel rates that last or repeat; none without steps."""
     step, noise = event.statistics.steps.wheel_rad_s, parameters["wheel_noise_rpm"]
     if step == 0.0:
         return np.zeros((len(noise), HARMONICS))
@@ -174,11 +178,9 @@ def _shared_turn_covariances(
     But for what counters leave open.
     """
     wheels = event.wheel_weights(physics)
-    white = replace(event.wheels, lasting=np.zeros(len(event.wheel_places)))
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     coherent = rounding * lasting_shares(event, parameters)
-    noise = _wheel_variances(event, parameters, white, np.zeros((len(coherent), 1)))
-    noise = noise - coherent.sum(axis=1)[:, None] * white.moving
+    noise = _white_variances(event, parameters, event.wheels)
     summed = np.array([band.summed_s2 for band in event.turns])
     rounded = np.array([band.rounded_s2 for band in event.turns])
     rounded = rounded.reshape(-1, HARMONICS, noise.shape[1])
