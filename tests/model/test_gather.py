@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from event_cases import document
+from event_cases import priors as event_priors
 
 from cassini_bayes.events.plausibility import STRICT
 from cassini_bayes.files.toml_file import read_toml
@@ -39,3 +41,17 @@ def test_an_axis_about_which_no_slew_turns_is_named(axes: str) -> None:
     assert "inertia_zz_kg_m2" in warning
     known = priors.with_fixed("inertia_zz_kg_m2", 4_000.0)
     assert not together(reads, known, STRICT)[1]
+
+
+@pytest.mark.parametrize(("noise", "named"), [(2e-6, False), (1e-6, True)])
+def test_rates_in_steps_beside_which_their_noise_is_small_are_named(
+    noise: float, named: bool
+) -> None:
+    """Steps of 5e-6 rad/s: noise of 0.4 of a step dithers them, 0.2 does not."""
+    content = document()
+    content["event"] = content["event"][:1]
+    content["telemetry"] |= {"rate_noise_rad_s": noise, "rate_resolution_rad_s": 5e-6}
+    flight = simulate_file(scenario_of(content), 3, priors=event_priors())
+    read = Read.of_reduced(reduced_simulation(flight.events[0], event_priors()))
+    warnings = together([read], event_priors(), STRICT)[1]
+    assert [("steps of 5e-06 rad/s" in said) for said in warnings] == [True] * named
