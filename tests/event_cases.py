@@ -9,10 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_event
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
+from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
 ROOT = Path(__file__).parents[1]
 PRIORS = ROOT / "priors" / "cassini_b_branch_telemetry.toml"
@@ -101,3 +103,20 @@ def eased(content: dict[str, Any], share: float = 0.3, every_s: float = 2.0) -> 
             event = {**event, "to_rpm": [a + share * (b - a) for a, b in ends]}
         short.append(event)
     return {**content, "telemetry": telemetry, "event": short}
+
+
+def turned_about(axes: str, kinds: tuple[str, ...] = ("slew",)) -> list[ReducedEvent]:
+    """Events of these kinds of the calibration's scenario, reduced, with slews about some axes."""
+    path = ROOT / "runs" / "scenarios" / "calibration.toml"
+    content = read_toml(path, "a scenario file")
+    slews = next(event for event in content["event"] if event["kind"] == "slew")
+    slews["slew"] = [
+        slew
+        for slew in slews["slew"]
+        if "xyz"[max(range(3), key=lambda i: abs(slew["axis"][i]))] in axes
+    ]
+    content["event"] = [
+        next(event for event in content["event"] if event["kind"] == kind) for kind in kinds
+    ]
+    flight = simulate_file(scenario_of(content, path.parent, str(path)), 3, priors=priors())
+    return [reduced_simulation(event, priors()) for event in flight.events]
