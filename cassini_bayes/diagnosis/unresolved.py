@@ -82,10 +82,12 @@ def rounding_lines(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
         driven[rows, wheel] = False
     samples = hypothesis.model.telemetry[place].event.samples
     at = hypothesis.model.telemetry[place].event.usable_places
+    read = np.flatnonzero(samples.has_state)  # counters may come at times of their own
     order, columns = np.arange(1, len(seen) + 1), [np.zeros((len(at), 3, 0))]
     for wheel in np.flatnonzero(driven.sum(axis=0) >= LEAST_REST).tolist():
-        rate, _ = between_steps(samples.time_s, samples.wheel_rad_s[:, wheel] / shown.step)
-        phase = 2.0 * np.pi * np.multiply.outer(rate[at], order)
+        levels = samples.wheel_rad_s[read, wheel] / shown.step
+        rate = between_steps(samples.time_s[read], levels)[0][np.searchsorted(read, at)]
+        phase = 2.0 * np.pi * np.multiply.outer(rate, order)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
         waves *= shown.step * np.sqrt(np.tile(seen, 2) / 12.0) * driven[:, wheel, None]
         columns.append(waves[:, None] * weights[:, wheel, None])

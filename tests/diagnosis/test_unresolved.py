@@ -84,17 +84,30 @@ def test_wheels_at_rest_are_no_drift(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @cache
-def driven_evenly(seed: int) -> tuple[Hypothesis, Array]:
-    """A bias whose wheels are driven by 2 mN m for a quarter of an hour: a step in eight rows."""
+def driven_evenly(seed: int, *, sparse: bool = False) -> tuple[Hypothesis, Array]:
+    """A bias whose wheels are driven by 2 mN m for a quarter of an hour: a step in eight seconds.
+
+    Rows are 1 s apart, or ``sparse``: 4 s, with counters every 10 s.
+    """
     content = document()
     own = content["event"][0]
     ends = zip(own["from_rpm"], (1.0, -1.0, -1.0), strict=True)
     own |= {"settle_s": 30.0, "to_rpm": [rate + 120.0 * sign for rate, sign in ends]}
     content["event"], content["wheels"] = [own], {"torque_limit_n_m": 0.002}
     content["telemetry"] |= {"wheel_noise_rpm": 0.1, "wheel_resolution_rpm": STEP_RPM}
+    if sparse:
+        every = dict.fromkeys(("attitude_every_s", "rate_every_s", "wheel_every_s"), 4.0)
+        content["telemetry"] |= {**every, "counter_every_s": 10.0}
     flown = simulate_file(scenario_of(content), seed, priors=priors())
     none = none_hypothesis(reduced(flown, priors()))
     return none, find_mode(none.log_density, none.dimension).point
+
+
+def test_counters_at_times_of_their_own_have_no_wheel_rates() -> None:
+    """Rows every 4 s and counters every 10 s: wheels are read where they are printed."""
+    columns, variance = rounding_lines(*driven_evenly(0, sparse=True), 0)
+    assert len(variance) > 0
+    assert np.isfinite(columns).all()
 
 
 def p_value_of(seed: int) -> float:
