@@ -108,18 +108,20 @@ class Evidence:
 
     @property
     def _given_rad_s(self) -> tuple[Array, Array] | tuple[()]:
-        """Rates (n, 3) of the body by the wheels alone and by thrusters alone, where these fire."""
+        """The body's rates (n, 3) by wheels alone, and squares of its kicks, where thrusters fire.
+
+        Kicks are what single pulses bring, their squares summed up to every row: of counters that
+        are read seldom the pulses between two readings are as many as they count.
+        """
         rows, motion, nominal = self.rows, self.motion, self.nominal
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return ()
-        thrust_s = nominal.thrust_s(rows)
-        momenta = -nominal.of_wheels(rows.wheel_rpm), thrust_s @ nominal.torques.T
-        rates = (np.linalg.solve(nominal.inertia, each.T).T for each in momenta)
-        wheels, fired = (
+        by_wheels = np.linalg.solve(nominal.inertia, -nominal.of_wheels(rows.wheel_rpm).T).T
+        wheels, squares = (
             _between(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
-            for each in rates
+            for each in (by_wheels, kicks_of(rows, nominal))
         )
-        return wheels, fired
+        return wheels, squares
 
     @cached_property
     def momentum(self) -> Momentum | None:
@@ -750,6 +752,22 @@ def _within(rows: AnyRows, margin_s: float) -> AnyRows:
     if not len(time):
         return rows
     return rows.only((time >= time[0] + margin_s) & (time <= time[-1] - margin_s))
+
+
+def kicks_of(rows: Rows, nominal: Nominal) -> Array:
+    """Squares of what single pulses bring to the body's rate, (n, 3), rad²/s², summed up to rows.
+
+    What thrusters bring between two rows is one kick if none has counted two pulses. Of more it is
+    not known which were fired together, and opposite ones show nothing in sum: they are taken as
+    pairs, Σ J² = 2 (Σ |J|)²/Σ n, with n pulses of each thruster.
+    """
+    by_thrust = np.linalg.solve(nominal.inertia, nominal.torques)
+    fired, pulses = np.diff(nominal.thrust_s(rows), axis=0), np.diff(rows.pulses, axis=0)
+    apart = np.abs(fired) @ np.abs(by_thrust).T
+    count = np.maximum(pulses.sum(axis=1, keepdims=True), 1.0)
+    single = np.all(pulses <= 1.0, axis=1, keepdims=True)
+    squares = np.where(single, (fired @ by_thrust.T) ** 2, 2.0 * apart**2 / count)
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(squares, axis=0)])
 
 
 def _between(at_s: Array, time_s: Array, values: Array) -> Array:
