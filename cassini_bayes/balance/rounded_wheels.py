@@ -12,12 +12,12 @@ they show (docs/topics/telemetry-likelihood.md §11).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
 
 _HARMONICS: Final = 64  # of a sawtooth: the rest has less than a percent of its square
 HARMONICS: Final = 4  # told apart: the rest has 17 % of the square
@@ -29,6 +29,8 @@ LEAST_DRIFT: Final = 2 * WINDOW  # rows at rest for every cosine that tells slow
 LINES: Final = (128, 64, 32, 16, 8)  # rows on either side of a straight line through readings
 LEAST_GAIN: Final = 3.0  # steps along a line: with fewer it follows the staircase, not the wheel
 LEAST_LIKE: Final = 0.5  # ratio of slopes of a line's halves, for a wheel that is driven evenly
+ROUNDING: Final = 1.0 / 12.0  # steps squared
+CHANCE: Final = 2.5  # standard deviations of a mean square: what scatters more is no noise
 
 
 @dataclass(frozen=True)
@@ -131,40 +133,61 @@ def between_steps(time_s: Array, levels: Array) -> tuple[Array, Flags]:
     Readings about a row have unlike roundings where the wheel moves, so that a straight line
     through them is known much better than one reading: to 0.05 steps by 32 of them. Every row has
     the shortest line of :data:`LINES` along which the wheel gains :data:`LEAST_GAIN`, or the
-    longest there is. Also returns which rows (n,) have such a line whose halves are alike: there
-    the wheel is driven evenly, and does not rest before or after a turn.
+    longest there is. Also returns in which rows (n,) the wheel is driven evenly: both halves of
+    such a line have like slopes, and readings scatter about it as rounding and their own noise do.
+    A wheel that goes and stops, again and again, scatters more.
     """
     n, time = len(levels), time_s - time_s.mean()
-    rate, driven = levels, np.zeros(n, dtype=np.bool_)
-    sums = np.stack([np.ones(n), time, levels, time**2, time * levels])
-    sums = np.concatenate([np.zeros((5, 1)), sums.cumsum(axis=1)], axis=1)
-    for half in LINES:
+    # half the square of a difference has more than the noise, and a rounding's share beside it
+    noise = 0.5 * np.diff(levels, prepend=levels[:1]) ** 2
+    about = levels - levels.mean()
+    sums = np.stack([np.ones(n), time, about, time**2, time * about, about**2, noise])
+    sums = np.concatenate([np.zeros((7, 1)), sums.cumsum(axis=1)], axis=1)
+    rate, driven, found = about, np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    for half in reversed(LINES):
         # rows near either end have the line through as many rows there
         first = np.clip(np.arange(n) - half, 0, max(n - 2 * half - 1, 0))
         stop = np.minimum(first + 2 * half + 1, n)
-        middle = (first + stop) // 2
-        height, slope = _straight_lines(sums, time, first, stop)
-        _, before = _straight_lines(sums, time, first, middle)
-        _, after = _straight_lines(sums, time, middle, stop)
-        long = np.abs(slope) * (time[stop - 1] - time[first]) >= LEAST_GAIN
-        rate = np.where(long | (half == LINES[0]), height, rate)
-        ends = np.sort(np.stack([before, after]) * np.sign(slope), axis=0)
-        driven |= long & (ends[0] > LEAST_LIKE * ends[1])
-    return rate, driven
+        line = _straight_lines(sums, first, stop)
+        halves = [_straight_lines(sums, *ends).slope for ends in _halves(first, stop)]
+        gained = np.abs(line.slope) * (time[stop - 1] - time[first])
+        chosen = ~found & ((gained >= LEAST_GAIN) | (half == LINES[0]))
+        rate = np.where(chosen, line.height + line.slope * (time - line.middle), rate)
+        ends = np.sort(np.stack(halves) * np.sign(line.slope), axis=0)
+        chance = 1.0 + CHANCE * np.sqrt(2.0 / (stop - first))
+        is_noise = line.scatter < chance * (ROUNDING + line.noise)
+        is_even = (ends[0] > LEAST_LIKE * ends[1]) & is_noise
+        driven |= chosen & (gained >= LEAST_GAIN) & is_even
+        found |= chosen
+    return rate + levels.mean(), driven
 
 
-def _straight_lines(
-    sums: Array, time: Array, first: NDArray[np.intp], stop: NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Lines through rows from ``first`` to ``stop`` (n,): values at every row, slopes (n,).
+class _Lines(NamedTuple):
+    """Straight lines through rows (n,): means of time and value, slopes, scatter, and noise."""
 
-    ``sums`` (5, 1 + n) are those of 1, t, y, t² and t y over all rows before.
+    middle: Array
+    height: Array
+    slope: Array
+    scatter: Array
+    noise: Array
+
+
+def _halves(first: Places, stop: Places) -> tuple[tuple[Places, Places], tuple[Places, Places]]:
+    middle = (first + stop) // 2
+    return (first, middle), (middle, stop)
+
+
+def _straight_lines(sums: Array, first: Places, stop: Places) -> _Lines:
+    """Lines through rows from ``first`` to ``stop`` (n,).
+
+    ``sums`` (7, 1 + n) are those of 1, t, y, t², t y, y² and noise over all rows before.
     """
-    count, t, y, square, mixed = sums[:, stop] - sums[:, first]
-    count = np.maximum(count, 1.0)
-    spread = square / count - (t / count) ** 2
-    slope = (mixed / count - t * y / count**2) / np.where(spread > 0.0, spread, np.inf)
-    return y / count + slope * (time - t / count), slope
+    total = sums[:, stop] - sums[:, first]
+    count, (t, y, square, mixed, power, noise) = np.maximum(total[0], 1.0), total[1:]
+    spread, common = square / count - (t / count) ** 2, mixed / count - t * y / count**2
+    slope = common / np.where(spread > 0.0, spread, np.inf)
+    scatter = power / count - (y / count) ** 2 - slope * common
+    return _Lines(t / count, y / count, slope, scatter, noise / count)
 
 
 def coherent_shares(noise: Array) -> Array:
@@ -258,14 +281,15 @@ def wheel_squares(shown: ShownRows, on_modes: Array) -> tuple[WheelSquares, Whee
 def _repeating(shown: ShownRows, levels: Array, moving: Flags, on_modes: Array) -> Array:
     """Squares (M, H) on modes of harmonics of the rounding in rows in which a wheel moves.
 
-    Harmonic k is |Σ φ exp(2π i k ρ)|² with ρ the rate in steps. What passes more than half a step
-    from row to row looks slow in rows that are thinned, and is not.
+    Harmonic k is |Σ φ exp(2π i k ρ)|² with ρ the rate in steps. What goes up and down between rows
+    that are thinned is not as slow as it looks in them.
     """
     rate, _ = between_steps(shown.time_s, levels)
-    faster = np.abs(np.gradient(rate)) if shown.stride > 1 else np.zeros(len(rate))
+    passed = np.gradient(rate) / shown.stride  # steps from row to row, of all of them
     squares = np.zeros((on_modes.shape[1], HARMONICS))
     for k in range(1, HARMONICS + 1):
-        at = shown.stride * (moving & (k * faster <= 0.5))
+        apart = np.abs(k * passed - np.round(k * passed))
+        at = shown.stride * (moving & ((apart * shown.stride <= 0.5) | (shown.stride == 1)))
         phase = 2.0 * np.pi * k * rate
         waves = np.stack([at * np.cos(phase), at * np.sin(phase)])
         squares[:, k - 1] = ((waves @ on_modes) ** 2).sum(axis=0)

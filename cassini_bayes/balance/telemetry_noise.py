@@ -83,7 +83,7 @@ def _wheel_variances(
 def _white_variances(
     event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
 ) -> Array:
-    """The same (n, W) but for roundings that last or repeat."""
+    """Variance (n, W) of wheel rates but for roundings that last or repeat, rad²/s²."""
     noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     rounding = rounding * (1.0 - lasting_shares(event, parameters).sum(axis=1))

@@ -202,12 +202,13 @@ def coarse_rates(events: Sequence[Event]) -> tuple[str, ...]:
     """Warnings of body rates printed in steps beside which their noise is small, in words.
 
     Between firings a body has one rate, and so one rounding, which is no white noise of its rows.
+    (In a slew it passes one printed value after the other.)
     Noise dithers it: of 0.3 steps 2 % of its square last, of 0.2 steps 12 %
     (docs/topics/telemetry-likelihood.md §11).
     """
     result = []
     for event in events:
-        if isinstance(event, ReducedEvent):
+        if isinstance(event, ReducedEvent) and event.statistics.kind != "slew":
             step, noise = event.statistics.steps.rate_rad_s, event.statistics.noise
             # attitudes take more rows for their noise to be seen: with it that of rates is seen
             if noise.attitude_rad > 0.0 and noise.rate_rad_s < LEAST_DITHER * step:

@@ -646,20 +646,38 @@ def test_a_limit_cycle_quicker_than_rows_is_no_other_size_of_rates() -> None:
     assert swings.misfit(0.5 * np.eye(3)) > 18.0 + 10.0 * 6.0
 
 
-@pytest.mark.parametrize("every", [1, 8])
-def test_kicks_are_those_of_single_pulses_however_seldom_counters_are_read(every: int) -> None:
-    """Couples fire in turn; read after every pulse or after eight, squares are the same in sum."""
+@pytest.mark.parametrize("every", [1, 2, 8])
+@pytest.mark.parametrize("others", [0.0, 0.5, 0.875])
+def test_kicks_are_those_of_single_pulses_however_seldom_counters_are_read(
+    every: int, others: float
+) -> None:
+    """Couples about ±Z fire in turn, beside some about X: read seldom, squares are the same.
+
+    In sum over the event, about both axes; and opposite couples do not cancel.
+    """
     nominal = Nominal.of(CASSINI, "B", (1, 2, 4), NOMINAL, fires=True)
-    about_z = np.where(np.arange(8) < 4, 0.0, np.sign(nominal.torques[2]))
-    side = np.random.default_rng(5).choice([-1.0, 1.0], 400)
-    fired = about_z == side[:, None]
+    rng, about = np.random.default_rng(5), np.sign(nominal.torques)
+    is_y = np.arange(8) >= 4
+    couples = [is_y & (about[2] == side) for side in (-1.0, 1.0)]
+    couples += [~is_y & (about[0] == side) for side in (-1.0, 1.0)]
+    chosen = rng.choice(4, 800, p=[*[0.5 * (1.0 - others)] * 2, *[0.5 * others] * 2])
+    fired = np.array(couples)[chosen]
     pulses = np.concatenate([np.zeros((1, 8)), fired.cumsum(axis=0)])
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (401, 1)), np.zeros((401, 3)), np.zeros((401, 3))
-    rows = Rows(np.arange(401.0), *still, 0.25 * pulses, pulses)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (801, 1)), np.zeros((801, 3)), np.zeros((801, 3))
+    rows = Rows(np.arange(801.0), *still, 0.25 * pulses, pulses)
     kicks = fired @ np.linalg.solve(nominal.inertia, nominal.torques).T * (0.25 + nominal.tail_s)
-    summed = kicks_of(rows.only(np.arange(401) % every == 0), nominal)[-1]
-    # a couple's other axes cancel only where it is known to be one
-    assert summed[2] == pytest.approx((kicks[:, 2] ** 2).sum(), rel=0.05)
+    summed = kicks_of(rows.only(np.arange(801) % every == 0), nominal)[-1]
+    assert summed[[0, 2]] == pytest.approx((kicks**2).sum(axis=0)[[0, 2]], rel=0.05)
+
+
+def test_counters_that_go_back_are_no_kicks() -> None:
+    """A counter that starts again at 0 adds nothing."""
+    nominal = Nominal.of(CASSINI, "B", (1, 2, 4), NOMINAL, fires=True)
+    pulses = np.array([0.0, 1.0, 2.0, 0.0, 1.0])[:, None] * (np.arange(8) == 4)
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 3)), np.zeros((5, 3))
+    summed = kicks_of(Rows(np.arange(5.0), *still, 0.25 * pulses, pulses), nominal)
+    steps = np.diff(summed[:, 2])
+    assert steps == pytest.approx(steps[0] * np.array([1.0, 1.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize(

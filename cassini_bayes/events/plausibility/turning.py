@@ -110,10 +110,11 @@ class Turning:
         """
         chosen = list(axes)
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
-        pulsed = len(y) * float(self.pulsed_each[chosen].sum())
         powers = [max(float(np.sum(each**2)), LEAST_POWER) for each in (y, x, y - x)]
+        # no more than there is: counters may be wrong, too
+        pulsed = min(len(y) * float(self.pulsed_each[chosen].sum()), powers[2])
         noise = (3.0 * GYRO_SD) ** 2 + pulsed / min(powers[:2])
-        count = len(y) / (1.0 + (SHARED - 1.0) * min(pulsed / powers[2], 1.0))
+        count = len(y) / (1.0 + (SHARED - 1.0) * pulsed / powers[2])
 
         lags = range(1, min(MOST_LAGS, len(y) // 4) + 1)
         # turns, rates at the same time, rates at another
