@@ -138,7 +138,7 @@ def between_steps(time_s: Array, levels: Array) -> tuple[Array, Flags]:
     A wheel that goes and stops, again and again, scatters more.
     """
     n, time = len(levels), time_s - time_s.mean()
-    # half the square of a difference has more than the noise, and a rounding's share beside it
+    # half the square of a difference: the noise of a reading, and what its rounding changes by
     noise = 0.5 * np.diff(levels, prepend=levels[:1]) ** 2
     about = levels - levels.mean()
     sums = np.stack([np.ones(n), time, about, time**2, time * about, about**2, noise])

@@ -44,13 +44,12 @@ from cassini_bayes.events.plausibility.hypotheses import (
     _of_shifts,
     by_evidence,
     explanations,
-    kicks_of,
     likeliest,
     with_scaled_rates,
     without_cut_pulses,
 )
 from cassini_bayes.events.plausibility.momentum import Correction
-from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
+from cassini_bayes.events.plausibility.rows import Motion, RowCollector
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
 from cassini_bayes.events.plausibility.undone import of_wheels
 from cassini_bayes.events.plausibility.verdict import Explanation
@@ -590,94 +589,40 @@ def test_pulses_that_begin_with_rows_are_no_factor_of_rates() -> None:
     assert driven.misfit(2.0 * np.eye(3)) > 2.0 * chance
 
 
-def limit_cycle(
-    row_s: float, every_s: float, kick: float, *, rows: int = 420, swing: float = 5e-5
-) -> tuple[Motion, Array, Array]:
-    """A pulse now and then beside a slow swing; rates by wheels, and squares of the pulses' kicks.
+def cycle_in_step_with_rows() -> tuple[Motion, Array, Array]:
+    """Rows every 4 s, a pulse every 8.03 s beside a slow swing; rates by wheels, by thrusters.
 
-    Rates have noise of 2e-6 rad/s, attitudes of 1e-5 rad.
+    Rates have noise of 2e-6 rad/s, attitudes of 1e-5 rad. The moment of a pulse drifts past the
+    rows once in 2,100 s.
     """
-    rng = np.random.default_rng(22)
-    time_s = row_s * np.arange(rows)
+    rng, rows, every_s, kick = np.random.default_rng(22), 420, 8.03, 1.5e-5
+    time_s = 4.0 * np.arange(rows)
     fine_s = np.arange(0.0, time_s[-1] + 0.005, 0.01)
     fired, drive = kick * np.floor(fine_s / every_s), -kick * fine_s / every_s
-    rate = fired + drive + swing * np.sin(2.0 * np.pi * fine_s / 900.0)
+    rate = fired + drive + 5e-5 * np.sin(2.0 * np.pi * fine_s / 900.0)
     turn = np.concatenate([[0.0], np.cumsum(0.005 * (rate[1:] + rate[:-1]))])
     at = np.searchsorted(fine_s, time_s - 1e-6)
     turn, rate, drive, fired = (np.tile(each[at, None], 3) for each in (turn, rate, drive, fired))
     attitude = np.column_stack([0.5 * (turn + rng.normal(0.0, 1e-5, turn.shape)), np.ones(rows)])
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
     measured = rate + rng.normal(0.0, 2e-6, rate.shape)
-    return Motion(time_s, attitude, measured), drive, kick * fired
+    return Motion(time_s, attitude, measured), drive, fired
 
 
 def test_a_limit_cycle_in_step_with_the_rows_is_no_factor_of_rates() -> None:
     """The mean of two rates is off by up to half a pulse, the same for many rows.
 
     A bias by another simulator, with a pulse in every other row of 4 s, was refused for body rates
-    about z × 0.63. A factor of two stays one. The moment of a pulse drifts past the rows once in
-    2,100 s.
+    about z × 0.63. A factor of two stays one.
     """
-    motion, drive, kicks = limit_cycle(4.0, 8.03, 1.5e-5)
-    unknown, known = turning_of(motion, drive), turning_of(motion, drive, kicks)
+    motion, drive, fired = cycle_in_step_with_rows()
+    unknown, known = turning_of(motion, drive), turning_of(motion, drive, fired)
     assert unknown is not None
     assert known is not None
     chance = 18.0 + 4.0 * 6.0  # of 18 moments, four standard deviations
     assert unknown.misfit(np.eye(3)) > chance
     assert known.misfit(np.eye(3)) < chance
     assert known.misfit(2.0 * np.eye(3)) > 2.0 * chance
-
-
-def test_a_limit_cycle_quicker_than_rows_is_no_other_size_of_rates() -> None:
-    """Of a sawtooth of 2.6 s, rates once a second show 40 % less than turns do.
-
-    A bias by another simulator, with 540 pulses about Z, was refused for body rates about x × 1.14.
-    Rates of half their size stay refused where the body swings as well.
-    """
-    motion, drive, kicks = limit_cycle(1.0, 2.55, 2e-4, rows=1_400, swing=1e-5)
-    unknown, known = turning_of(motion, drive), turning_of(motion, drive, kicks)
-    assert unknown is not None
-    assert known is not None
-    assert unknown.misaligned(np.eye(3)) > 4.0 * BY_CHANCE
-    assert known.misaligned(np.eye(3)) < BY_CHANCE
-    swings = turning_of(*limit_cycle(1.0, 2.55, 2e-4, rows=1_400))
-    assert swings is not None
-    assert swings.misfit(np.eye(3)) < 18.0
-    assert swings.misfit(0.5 * np.eye(3)) > 18.0 + 10.0 * 6.0
-
-
-@pytest.mark.parametrize("every", [1, 2, 8])
-@pytest.mark.parametrize("others", [0.0, 0.5, 0.875])
-def test_kicks_are_those_of_single_pulses_however_seldom_counters_are_read(
-    every: int, others: float
-) -> None:
-    """Couples about ±Z fire in turn, beside some about X: read seldom, squares are the same.
-
-    In sum over the event, about both axes; and opposite couples do not cancel.
-    """
-    nominal = Nominal.of(CASSINI, "B", (1, 2, 4), NOMINAL, fires=True)
-    rng, about = np.random.default_rng(5), np.sign(nominal.torques)
-    is_y = np.arange(8) >= 4
-    couples = [is_y & (about[2] == side) for side in (-1.0, 1.0)]
-    couples += [~is_y & (about[0] == side) for side in (-1.0, 1.0)]
-    chosen = rng.choice(4, 800, p=[*[0.5 * (1.0 - others)] * 2, *[0.5 * others] * 2])
-    fired = np.array(couples)[chosen]
-    pulses = np.concatenate([np.zeros((1, 8)), fired.cumsum(axis=0)])
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (801, 1)), np.zeros((801, 3)), np.zeros((801, 3))
-    rows = Rows(np.arange(801.0), *still, 0.25 * pulses, pulses)
-    kicks = fired @ np.linalg.solve(nominal.inertia, nominal.torques).T * (0.25 + nominal.tail_s)
-    summed = kicks_of(rows.only(np.arange(801) % every == 0), nominal)[-1]
-    assert summed[[0, 2]] == pytest.approx((kicks**2).sum(axis=0)[[0, 2]], rel=0.05)
-
-
-def test_counters_that_go_back_are_no_kicks() -> None:
-    """A counter that starts again at 0 adds nothing."""
-    nominal = Nominal.of(CASSINI, "B", (1, 2, 4), NOMINAL, fires=True)
-    pulses = np.array([0.0, 1.0, 2.0, 0.0, 1.0])[:, None] * (np.arange(8) == 4)
-    still = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 3)), np.zeros((5, 3))
-    summed = kicks_of(Rows(np.arange(5.0), *still, 0.25 * pulses, pulses), nominal)
-    steps = np.diff(summed[:, 2])
-    assert steps == pytest.approx(steps[0] * np.array([1.0, 1.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize(

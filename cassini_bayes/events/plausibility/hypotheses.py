@@ -66,7 +66,6 @@ PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
 SAME_TIME_S: Final = 1e-6  # rounding of times that were written to a microsecond
-MOST_ALIKE: Final = 0.95  # of readings: thrusters that count alike in more are one couple
 MOST_OF_ROWS: Final = 0.3
 """Of the rows: fewer are not asked for their noise (judgement)."""
 SAME_NOISE: Final = 1.5
@@ -105,24 +104,22 @@ class Evidence:
         """Turns against rates."""
         if self.motion is None:
             return None
-        return turning_of(self.motion, *self._given)
+        return turning_of(self.motion, *self._given_rad_s)
 
     @property
-    def _given(self) -> tuple[Array, Array] | tuple[()]:
-        """The body's rates (n, 3) by wheels alone, and squares of its kicks, where thrusters fire.
-
-        Kicks are what single pulses bring, their squares summed up to every row: of counters that
-        are read seldom the pulses between two readings are as many as they count.
-        """
+    def _given_rad_s(self) -> tuple[Array, Array] | tuple[()]:
+        """Rates (n, 3) of the body by the wheels alone and by thrusters alone, where these fire."""
         rows, motion, nominal = self.rows, self.motion, self.nominal
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return ()
-        by_wheels = np.linalg.solve(nominal.inertia, -nominal.of_wheels(rows.wheel_rpm).T).T
-        wheels, squares = (
+        thrust_s = nominal.thrust_s(rows)
+        momenta = -nominal.of_wheels(rows.wheel_rpm), thrust_s @ nominal.torques.T
+        rates = (np.linalg.solve(nominal.inertia, each.T).T for each in momenta)
+        wheels, fired = (
             _between(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
-            for each in (by_wheels, kicks_of(rows, nominal))
+            for each in rates
         )
-        return wheels, squares
+        return wheels, fired
 
     @cached_property
     def momentum(self) -> Momentum | None:
@@ -753,38 +750,6 @@ def _within(rows: AnyRows, margin_s: float) -> AnyRows:
     if not len(time):
         return rows
     return rows.only((time >= time[0] + margin_s) & (time <= time[-1] - margin_s))
-
-
-def kicks_of(rows: Rows, nominal: Nominal) -> Array:
-    """Squares of what single pulses bring to the body's rate, (n, 3), rad²/s², summed up to rows.
-
-    Thrusters whose counts grow alike in nearly all readings in which either fires are fired
-    together; n pulses of such a couple that bring R in sum have the squares R²/n, however seldom
-    they are read. Counts that go back are mistakes, and no pulses.
-    """
-    by_thrust = np.linalg.solve(nominal.inertia, nominal.torques)
-    fired = np.maximum(np.diff(nominal.thrust_s(rows), axis=0), 0.0)
-    pulses = np.maximum(np.diff(rows.pulses, axis=0), 0.0)
-    squares = np.zeros((len(fired), 3))
-    for couple in fired_together(pulses):
-        brought = fired[:, couple] @ by_thrust[:, couple].T
-        squares += brought**2 / np.maximum(pulses[:, couple].max(axis=1), 1.0)[:, None]
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(squares, axis=0)])
-
-
-def fired_together(pulses: Array) -> list[list[int]]:
-    """Thrusters by couples, from the pulses (n, K) that each counted between two readings."""
-    couples: list[list[int]] = []
-    for k in range(pulses.shape[1]):
-        for couple in couples:
-            fires = (pulses[:, k] > 0.0) | (pulses[:, couple[0]] > 0.0)
-            alike = pulses[fires, k] == pulses[fires, couple[0]]
-            if fires.any() and alike.mean() > MOST_ALIKE:
-                couple.append(k)
-                break
-        else:
-            couples.append([k])
-    return couples
 
 
 def _between(at_s: Array, time_s: Array, values: Array) -> Array:

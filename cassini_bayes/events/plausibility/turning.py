@@ -43,7 +43,6 @@ MOST_JOINED: Final = 8  # rows to a step: 8 s of 1 Hz telemetry
 MOST_LAGS: Final = 20  # intervals either way: the choice costs BY_CHANCE
 BIAS_SIGMAS: Final = 3.0  # of the mean difference: a bias beyond it has a chance of 0.3 %
 NOISE_FREE: Final = 0.5  # of the turning, which rates explain that are no noise: judgement
-LEAST_POWER: Final = 1e-24  # rad²/s², of a sum of squares: none is a divisor
 BY_CHANCE: Final = 25.0
 """Of twice a log likelihood ratio: the best of all rotations (three angles) and of forty lags."""
 
@@ -59,7 +58,6 @@ class Turning:
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
     pulsed: Array  # (3,) variance that pulses at unknown moments bring to a step
-    pulsed_each: Array  # (3,) the same of an interval between two rows
     steps: int
     each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
     bias_rad_s: Array  # (3,) by which rates may be off on the whole: what is found, and its noise
@@ -105,16 +103,11 @@ class Turning:
         best rotation of noise grows with the root of the rows); or both have
         as much as they like, so that Σ y x estimates the power of the motion, which is neither
         negative nor above Σ x² or Σ y². A gyro's misalignment may be physics: as much as it brings
-        is noise. So is what pulses at unknown moments bring, and where that is all of the
-        difference intervals count for a third (:data:`SHARED`).
+        is noise.
         """
         chosen = list(axes)
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
-        powers = [max(float(np.sum(each**2)), LEAST_POWER) for each in (y, x, y - x)]
-        # no more than there is: counters may be wrong, too
-        pulsed = min(len(y) * float(self.pulsed_each[chosen].sum()), powers[2])
-        noise = (3.0 * GYRO_SD) ** 2 + pulsed / min(powers[:2])
-        count = len(y) / (1.0 + (SHARED - 1.0) * pulsed / powers[2])
+        noise = (3.0 * GYRO_SD) ** 2
 
         lags = range(1, min(MOST_LAGS, len(y) // 4) + 1)
         # turns, rates at the same time, rates at another
@@ -143,19 +136,19 @@ class Turning:
             second = as_is / (yy * xx) + noise
             second /= np.maximum(1.0 - best**2 / (yy * moved), 0.0) + noise
         largest = float(np.fmax.reduce(np.fmax(first, second), initial=1.0))
-        return count * float(np.log(largest))
+        return len(y) * float(np.log(largest))
 
 
 def turning_of(
-    motion: Motion, drive_rad_s: Array | None = None, kicks_rad2_s2: Array | None = None
+    motion: Motion, drive_rad_s: Array | None = None, fired_rad_s: Array | None = None
 ) -> Turning | None:
     """The moments; None where there are too few steps.
 
     Where thrusters take what wheels give, the body's rate falls between pulses and jumps with them.
     If pulses begin with the rows the mean of two rates is off by half an interval of that fall, for
     as long as the wheels ramp: so much it may lean. ``drive_rad_s`` (n, 3) are the rates that the
-    body would have by the wheels alone, ``kicks_rad2_s2`` (n, 3) squares of what single pulses
-    bring, summed up; without, nothing fires.
+    body would have by the wheels alone, ``fired_rad_s`` (n, 3) by the thrusters alone; without,
+    nothing fires.
 
     A pulse that brings J somewhere in an interval leaves the mean of two rates off by up to J/2,
     with the variance J²/12. Where pulses come in step with the rows this lasts, and second
@@ -181,12 +174,11 @@ def turning_of(
     turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
     given, fired = (
-        np.zeros_like(rates) if each is None else each for each in (drive_rad_s, kicks_rad2_s2)
+        np.zeros_like(rates) if each is None else each for each in (drive_rad_s, fired_rad_s)
     )
     half = 0.5 * joined(intervals_s[:, None] * np.diff(given, axis=0)) / step_s
-    kicks = np.diff(fired, axis=0)
-    pulsed = joined(intervals_s[:, None] ** 2 * kicks) / step_s**2
-    pulsed = SHARED * pulsed.mean(axis=0) / 12.0
+    kicks = joined((intervals_s[:, None] * np.diff(fired, axis=0)) ** 2) / step_s**2
+    pulsed = SHARED * kicks.mean(axis=0) / 12.0
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
     after = rates[1 : used + 1].reshape(count, stride, 3).mean(axis=1)
@@ -207,5 +199,4 @@ def turning_of(
     bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
     moments = (y.T @ z, x.T @ z, dx.T @ z, f.T @ z)
-    of_each = kicks[usual].mean(axis=0) / 12.0
-    return Turning(*moments, inner, squares, pulsed, of_each, len(y) - 2, each, bias)
+    return Turning(*moments, inner, squares, pulsed, len(y) - 2, each, bias)
