@@ -110,11 +110,9 @@ def turned_about(axes: str, kinds: tuple[str, ...] = ("slew",)) -> list[ReducedE
     path = ROOT / "runs" / "scenarios" / "calibration.toml"
     content = read_toml(path, "a scenario file")
     slews = next(event for event in content["event"] if event["kind"] == "slew")
-    slews["slew"] = [
-        slew
-        for slew in slews["slew"]
-        if "xyz"[max(range(3), key=lambda i: abs(slew["axis"][i]))] in axes
-    ]
+    about = ["xyz"[max(range(3), key=lambda i: abs(slew["axis"][i]))] for slew in slews["slew"]]
+    assert set(about) == {"x", "y", "z"}
+    slews["slew"] = [slew for slew, axis in zip(slews["slew"], about, strict=True) if axis in axes]
     content["event"] = [
         next(event for event in content["event"] if event["kind"] == kind) for kind in kinds
     ]

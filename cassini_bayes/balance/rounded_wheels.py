@@ -26,7 +26,7 @@ WINDOW: Final = 8  # rows on either side; a wheel that gains a step between thei
 # rests; more than that is noise of half a step and more, which leaves nothing of a rounding.
 DITHERED: Final = 0.3
 LEAST_DRIFT: Final = 2 * WINDOW  # rows at rest for every cosine that tells slow motion
-LINES: Final = (128, 64, 32, 16, 8)  # rows on either side of a straight line through readings
+LINES: Final = (8, 16, 32, 64, 128)  # rows on either side of a straight line through readings
 LEAST_GAIN: Final = 3.0  # steps along a line: with fewer it follows the staircase, not the wheel
 LEAST_LIKE: Final = 0.5  # ratio of slopes of a line's halves, for a wheel that is driven evenly
 ROUNDING: Final = 1.0 / 12.0  # steps squared
@@ -144,14 +144,14 @@ def between_steps(time_s: Array, levels: Array) -> tuple[Array, Flags]:
     sums = np.stack([np.ones(n), time, about, time**2, time * about, about**2, noise])
     sums = np.concatenate([np.zeros((7, 1)), sums.cumsum(axis=1)], axis=1)
     rate, driven, found = about, np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    for half in reversed(LINES):
+    for half in LINES:
         # rows near either end have the line through as many rows there
         first = np.clip(np.arange(n) - half, 0, max(n - 2 * half - 1, 0))
         stop = np.minimum(first + 2 * half + 1, n)
         line = _straight_lines(sums, first, stop)
         halves = [_straight_lines(sums, *ends).slope for ends in _halves(first, stop)]
         gained = np.abs(line.slope) * (time[stop - 1] - time[first])
-        chosen = ~found & ((gained >= LEAST_GAIN) | (half == LINES[0]))
+        chosen = ~found & ((gained >= LEAST_GAIN) | (half == LINES[-1]))
         rate = np.where(chosen, line.height + line.slope * (time - line.middle), rate)
         ends = np.sort(np.stack(halves) * np.sign(line.slope), axis=0)
         chance = 1.0 + CHANCE * np.sqrt(2.0 / (stop - first))

@@ -54,7 +54,7 @@ def wheel_covariance(
 
 def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, W) of a measured wheel rate, its rounding included, rad²/s²."""
-    return _wheel_variances(event, parameters, event.wheels)
+    return _wheel_variances(event, parameters, event.wheels, lasting_shares(event, parameters))
 
 
 def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -66,27 +66,30 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    bands = (*event.slow, *event.fast)
-    each = [_wheel_variances(event, parameters, band.wheels) for band in bands]
+    bands, shares = (*event.slow, *event.fast), lasting_shares(event, parameters)
+    each = [_wheel_variances(event, parameters, band.wheels, shares) for band in bands]
     return np.ascontiguousarray(np.stack(each, axis=1))
 
 
 def _wheel_variances(
-    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, shares: Array
 ) -> Array:
-    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s²."""
+    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s².
+
+    ``shares`` (n, H) are those of :func:`lasting_shares`.
+    """
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    repeated = rounding * lasting_shares(event, parameters) @ squares.lasting
-    return _white_variances(event, parameters, squares) + np.asarray(repeated)
+    repeated = rounding * shares @ squares.lasting
+    return _white_variances(event, parameters, squares, shares) + np.asarray(repeated)
 
 
 def _white_variances(
-    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares
+    event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, shares: Array
 ) -> Array:
     """Variance (n, W) of wheel rates but for roundings that last or repeat, rad²/s²."""
     noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    rounding = rounding * (1.0 - lasting_shares(event, parameters).sum(axis=1))
+    rounding = rounding * (1.0 - shares.sum(axis=1))
     of_row = (noise**2 + rounding)[:, None] / event.statistics.counters.averaged
     return np.asarray(of_row * squares.moving + squares.seen)
 
@@ -179,8 +182,9 @@ def _shared_turn_covariances(
     """
     wheels = event.wheel_weights(physics)
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    coherent = rounding * lasting_shares(event, parameters)
-    noise = _white_variances(event, parameters, event.wheels)
+    shares = lasting_shares(event, parameters)
+    coherent = rounding * shares
+    noise = _white_variances(event, parameters, event.wheels, shares)
     summed = np.array([band.summed_s2 for band in event.turns])
     rounded = np.array([band.rounded_s2 for band in event.turns])
     rounded = rounded.reshape(-1, HARMONICS, noise.shape[1])

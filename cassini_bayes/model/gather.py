@@ -203,7 +203,7 @@ def coarse_rates(events: Sequence[Event]) -> tuple[str, ...]:
 
     Between firings a body has one rate, and so one rounding, which is no white noise of its rows.
     (In a slew it passes one printed value after the other.)
-    Noise dithers it: of 0.3 steps 2 % of its square last, of 0.2 steps 12 %
+    Noise dithers it: of 0.3 steps 2 % of its square last, of 0.2 steps 13 %
     (docs/topics/telemetry-likelihood.md §11).
     """
     result = []
