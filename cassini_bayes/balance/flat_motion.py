@@ -7,18 +7,20 @@ the slope of the log likelihood in log I is zero on average for neither: the fir
 upwards, the second downwards. The factor for which it is zero is the root of the determinant of the
 balance's own noise, at noise levels that stay fixed. It is taken at a body of nominal size and
 grows with |det I|, so that the common scale of inertia, wheels and thrusts is not drawn either
-(docs/topics/telemetry-likelihood.md §3).
+(docs/topics/telemetry-likelihood.md §3). Where rows have late pulses, thrusters answer what is
+late: there the measure grows with what they deliver, by the share of that noise (§4).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import Answered, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
@@ -26,7 +28,9 @@ from cassini_bayes.balance.telemetry_noise import (
     open_counters,
     turn_noise,
 )
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
+
+LEAST_PUSH: Final = 0.01  # of the momentum about the axis that thrusters push most
 
 
 def log_measure(
@@ -46,7 +50,9 @@ def log_measure(
     R the rows of bands in which wheels move by any amount. The initial momentum takes up a constant
     of the slow band: its body rate is flat, too. All this is at body and wheels of nominal size,
     with the determinant of the prior means; log |det I| grows by its difference, for each rate but
-    one and each turn. The unit is that of :func:`in_channel_units`.
+    one and each turn. Where rows have late pulses body and wheels have their own size, and the
+    thrusts' part is that of :func:`pushed_information`. The unit is that of
+    :func:`in_channel_units`.
 
     Parameters
     ----------
@@ -59,7 +65,7 @@ def log_measure(
         cosines, which the likelihood has as unknowns; that of the measure is whole.)
     """
     reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
-    growth = _log_size(event, physics) - event.log_size
+    growth = _body_growth(event, physics)
     physics = _of_size(physics, np.exp(-growth / 3.0))
     result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
     if event.turns:
@@ -82,13 +88,59 @@ def in_channel_units(
     event = replace(
         event,
         log_unit=0.0,
-        log_size=float(_log_size(event, physics)[0]),
+        log_size=float(_log_det(physics.inertia_kg_m2)[0]),
         nominally_open=open_counters(event, physics),
     )
+    rows = _answered_rows(event, physics, parameters)
+    event = replace(event, answered=Answered(rows, np.ones(3)))
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
     unit = flat - _count(event) * _log_det(physics.momentum_per_rate)
     return replace(event, log_unit=float(unit[0]))
+
+
+def in_thrust_units(event: TelemetryBalance, per_newton: Array) -> TelemetryBalance:
+    """The same event with the thrusts' part of the measure 1 at its thrusts and one point (n = 1).
+
+    An axis about which hardly anything fires has none: its arms are small and may change sign.
+    """
+    size = (per_newton @ event.thrusts_n)[0]
+    is_pushed = size > LEAST_PUSH * size.max()
+    rows = np.where(is_pushed, event.answered.rows, 0.0)
+    return replace(event, answered=Answered(rows, np.where(is_pushed, size, 1.0)))
+
+
+def pushed_information(
+    event: TelemetryBalance, per_newton: Array, common_n: Array
+) -> tuple[Array, Array, Array]:
+    """What the measure says of the thrusts where thrusters answer the noise.
+
+    With S_c(F) = Σ_k F_k |d_ck| t_k the momentum about axis c that thrusters deliver to either
+    side, m_c the rows whose noise they answer and S_c° the unit (:class:`.Answered`),
+
+        Σ_c m_c log S_c(F)/S_c° ≈ Σ_c m_c (log S_c(F₀)/S_c° + x − ½ x²),   x = S_c(F)/S_c(F₀) − 1,
+
+    about the event's thrusts F₀, which are good to a fifth: so it is quadratic in the thrusts
+    (docs/topics/telemetry-likelihood.md §4).
+
+    Parameters
+    ----------
+    per_newton
+        (n, 3, K) of |d_ck| t_k, m s: lever arm times effective on-time.
+    common_n
+        (n,) the level about which thrusts are counted.
+
+    Returns
+    -------
+    Matrix (n, K, K), vector (n, K) and constant (n,), as of :class:`.ThrustInformation`.
+    """
+    rows, size = event.answered
+    whole = np.where(rows > 0.0, per_newton @ event.thrusts_n, size)
+    along = per_newton / whole[..., None]
+    shift = common_n[:, None] * along.sum(axis=2) - along @ event.thrusts_n
+    matrix = np.einsum("c,nck,ncl->nkl", rows, along, along)
+    vector = np.einsum("nc,nck->nk", rows * (1.0 - shift), along)
+    return matrix, vector, (np.log(whole / size) + shift - 0.5 * shift**2) @ rows
 
 
 def _count(event: TelemetryBalance) -> int:
@@ -96,17 +148,11 @@ def _count(event: TelemetryBalance) -> int:
     return event.statistics.rows - 1 + sum(band.contrasts for band in event.turns)
 
 
-def _log_size(event: TelemetryBalance, physics: Physics) -> Array:
-    """Log (n,) of the size that the measure grows with, as the cube of a common scale.
-
-    That of the body; where pulses are late in rows, that of the wheels. There thrusters answer what
-    is late, so that the slope in log I of the quadratic form is that of the gyro's noise alone. And
-    rows tell the ratio of body and wheels so badly that it matters with which of them J grows.
-    """
-    if event.late is None:
-        return _log_det(physics.inertia_kg_m2)
-    inertias = np.linalg.norm(event.wheel_weights(physics), axis=-2)
-    return np.asarray(3.0 * np.log(inertias).mean(axis=-1))
+def _body_growth(event: TelemetryBalance, physics: Physics) -> Array:
+    """Log (n,) of |det I| over that at the prior means; 0 where thrusters answer what is late."""
+    if event.late is not None:
+        return np.zeros(len(physics.inertia_kg_m2))
+    return _log_det(physics.inertia_kg_m2) - event.log_size
 
 
 def _of_size(physics: Physics, factor: Array) -> Physics:
@@ -126,13 +172,53 @@ def _at_reference(
     return {**parameters, **fixed}
 
 
+def _answered_rows(
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
+) -> Array:
+    """Rows (3,) about every axis that thrusters answer: shares of what is late and of the torque.
+
+    Counted at one point (n = 1), where the event's slow motion is flat, but for the constant.
+    """
+    if event.late is None:
+        return np.zeros(3)
+    reference = _at_reference(event, parameters, 1)
+    of_channels, whole = (
+        np.diagonal(_band_noise(event, physics, reference, left_open)[0], axis1=-2, axis2=-1)
+        for left_open in (np.zeros((1, 1, 3, 3)), event.nominally_open.rows)
+    )
+    by_torque = reference["torque_noise_n_m_s05"] ** 2
+    bands = len(event.slow)
+    result = np.zeros(3)
+    of_slow = zip(event.slow, np.split(event.constant, _ends(event)[:-1]), strict=True)
+    for place, (band, constant) in enumerate(of_slow):
+        share = 1.0 - of_channels[place] / (whole[place] + np.outer(band.walk, by_torque))
+        result += (1.0 - constant**2) @ share
+    for place, band in enumerate(event.fast, bands):
+        if band.motion is None:
+            noise = whole[place] + band.walk.mean() * by_torque
+            result += band.rows * (1.0 - of_channels[place] / noise)
+    return result
+
+
+def _ends(event: TelemetryBalance) -> Places:
+    """Where the slow bands end, in modes."""
+    return np.cumsum([band.rows for band in event.slow])
+
+
+def _band_noise(
+    event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array], left_open: Array
+) -> Array:
+    """Covariance (n, S + F, 3, 3) of every band but for torque noise, (N m s)²."""
+    wheels = event.wheel_weights(physics)[:, None]
+    variance = band_wheel_variances(event, reference)[:, :, None]
+    white = band_covariances(event, physics, reference, left_open)
+    return np.asarray(white + (wheels * variance) @ np.swapaxes(wheels, -1, -2))
+
+
 def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array]) -> Array:
     """The part of the rows."""
     by_torque = reference["torque_noise_n_m_s05"][:, None, None] ** 2
-    wheels = event.wheel_weights(physics)[:, None]
-    variance = band_wheel_variances(event, reference)[:, :, None]
-    white = band_covariances(event, physics, reference, event.nominally_open.rows)
-    noise = white + (wheels * variance) @ np.swapaxes(wheels, -1, -2)
+    noise = _band_noise(event, physics, reference, event.nominally_open.rows)
     bands = len(event.slow)
     modes = np.array([band.rows for band in event.slow])
     values = np.repeat(np.linalg.eigvalsh(noise[:, :bands]), modes, axis=1)

@@ -179,6 +179,18 @@ class OpenCounters(NamedTuple):
     turns: Array  # (n, T, 3, 3), (N m s²)²
 
 
+class Answered(NamedTuple):
+    """What thrusters answer of an event's noise, about every axis.
+
+    ``rows`` (3,) is how many, and ``size`` (3,), N m s, the momentum that thrusters deliver to
+    either side at which the measure is 1.
+    """
+
+    rows: Array
+    size: Array
+
+
+NOTHING_ANSWERED: Final = Answered(np.zeros(3), np.ones(3))
 NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))
 
 
@@ -191,9 +203,10 @@ class TelemetryBalance:
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
     is a constant of unit length on the slow modes; ``log_unit``, ``log_size`` (log |det I| at
-    the prior means) and ``nominally_open``, what counters leave open there, belong to the measure
-    of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are the event's
-    thrusts to some percent: they size what counters leave open, and place the slow modes.
+    the prior means), ``nominally_open``, what counters leave open there, and ``answered`` belong
+    to the measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are
+    the event's thrusts to some percent: they size what counters leave open, and place the slow
+    modes.
     ``late`` is of rows that have late pulses.
     """
 
@@ -215,6 +228,7 @@ class TelemetryBalance:
     log_unit: float = 0.0
     log_size: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
+    answered: Answered = NOTHING_ANSWERED
 
     @property
     def id(self) -> str:

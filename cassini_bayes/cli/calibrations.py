@@ -207,7 +207,7 @@ def calibrate_blind_command(
         bool,
         typer.Option(
             "--conditions",
-            help="Draw craft, events, cadence, steps, noise and controller in every trial.",
+            help="Draw craft, events, cadence, steps, noise, controller, drive in every trial.",
         ),
     ] = False,
     parts: Annotated[

@@ -40,10 +40,14 @@ from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
+TAIL: Final = "tau_fall_s"
 Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
 _ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
+_ROUGH_FACTORS: Final = tuple(np.geomspace(0.3, 3.0, 25))  # of the expected thrust: 10 % apart
+_ROUGH_SPREAD: Final = 0.15  # of its log: judgement, twice what priors have
+_ROUGH_TAILS: Final = np.linspace(-3.0, 3.0, 25)  # prior standard deviations: 5 ms apart
 _UNLIKE: Final = 1.0  # of noise: prior standard deviations from the median
 _FARTHEST_START: Final = 4.0  # prior standard deviations: what rows show may be beyond its bounds
 _TAIL_STARTS: Final = (-2.0, 2.0)  # of a search, prior standard deviations beside the others
@@ -142,8 +146,8 @@ class Model(Shared):
         if np.abs(shown).max(initial=0.0) > _UNLIKE:
             starts.append(shown)
         late = any(term.event.statistics.counters.has_late_pulses for term in self.telemetry)
-        if late and "tau_fall_s" in self.space.names:
-            of_tail = np.eye(self.space.dimension)[self.space.names.index("tau_fall_s")]
+        if late and TAIL in self.space.names:
+            of_tail = np.eye(self.space.dimension)[self.space.names.index(TAIL)]
             starts += [starts[-1] + side * of_tail for side in _TAIL_STARTS]
         return np.stack(starts)
 
@@ -269,11 +273,42 @@ def _with_rough_thrusts(model: Model) -> Model:
     nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
     # columns that effects may use have no weight yet, and are most of them
     lean = without_idle(model)
+    if any(term.balance.late is not None for term in model.telemetry):
+        return _with_thrusts(model, _likeliest_thrusts(lean, nominal), nominal)
     means, _ = thrust_moments(prior, _collapse_at(lean, nominal).thrusts)
-    rough = np.maximum(means[0], 0.0)
+    return _with_thrusts(model, np.maximum(means[0], 0.0), nominal)
+
+
+def _likeliest_thrusts(model: Model, nominal: Points) -> Array:
+    """Thrusts (E', K) that are all the same, of the greatest likelihood with some tail.
+
+    Where rows have late pulses, they scatter by what thrusters deliver. Where these mostly push to
+    and fro, that tells more of the thrust than what they push on the whole: a tail that is 20 ms
+    off makes that two thirds too small. The measure, too, is that of this size here.
+    """
+    thrust = model.thrust_prior.common_mean_n
+    shape = (len(model.fired_ids), len(model.thrust_prior.shared))
+    tail = model.priors.parameters[TAIL].distribution
+    steps = np.zeros(1) if tail is None else _ROUGH_TAILS
+    known = {name: np.repeat(own, len(steps)) for name, own in nominal.parameters.items()}
+    if tail is not None:
+        known[TAIL] = tail.quantile_of_standard(steps)
+    points = Points(nominal.shared, known, len(steps))
+
+    def likelihood(factor: float) -> float:
+        at = _with_thrusts(model, np.full(shape, factor * thrust), nominal)
+        by_tail = _collapse_at(at, points).log_likelihood - 0.5 * steps**2
+        unlike = 0.5 * (np.log(factor) / _ROUGH_SPREAD) ** 2
+        return float(by_tail.max() - unlike + sum(term.balance.log_unit for term in at.telemetry))
+
+    return np.full(shape, thrust * max(_ROUGH_FACTORS, key=likelihood))
+
+
+def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points) -> Model:
+    """The model whose telemetry has these thrusts (E', K), at the prior means (n = 1)."""
     places = model.fired_of_term[len(model.totals) :]
     terms = [
-        term.with_thrusts(rough[fired][0], nominal) if term.event.fires else term
+        term.with_thrusts(thrusts_n[fired][0], nominal) if term.event.fires else term
         for term, fired in zip(model.telemetry, places, strict=True)
     ]
     return replace(model, telemetry=tuple(terms))

@@ -21,7 +21,11 @@ from cassini_bayes.balance.accelerometer import (
     accelerometer_information,
     count_columns,
 )
-from cassini_bayes.balance.flat_motion import in_channel_units
+from cassini_bayes.balance.flat_motion import (
+    in_channel_units,
+    in_thrust_units,
+    pushed_information,
+)
 from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.balance.kernel import without_own
 from cassini_bayes.balance.measured_delta_v import (
@@ -166,7 +170,21 @@ class TelemetryTerm:
         """The same with the event's thrusts (K,) to some percent, at the prior means (n = 1)."""
         balance = replace(self.balance, thrusts_n=thrusts_n)
         physics = self.physics(nominal)
-        return replace(self, balance=in_channel_units(balance, physics, nominal.parameters))
+        balance = in_channel_units(balance, physics, nominal.parameters)
+        if balance.late is not None:
+            balance = in_thrust_units(balance, self.per_newton(physics, 1))
+        return replace(self, balance=balance)
+
+    def per_newton(self, physics: Physics, n: int) -> Array:
+        """Momentum (n, 3, K) per newton that thrusters deliver to either side, N m s/N."""
+        return np.abs(physics.arms_m) * self.effective_s(physics, n)
+
+    def effective_s(self, physics: Physics, n: int) -> Array:
+        """Effective on-times (n, 1, K), s, by the counters' totals."""
+        reading = self.event.reading
+        on_time, pulses = np.array([reading.on_time_s]), np.array([reading.pulses])
+        effective = effective_on_times(self.event.sampling.pulse_shape, physics, on_time, pulses)
+        return np.broadcast_to(effective, (n, *on_time.shape))
 
     def with_bands_merged(self) -> TelemetryTerm:
         """The same with equal bands as one."""
@@ -246,13 +264,16 @@ class TelemetryAt:
             return ThrustInformation.nothing(
                 self.points.n, len(self.points.shared.thrust_prior.shared)
             )
-        for part in self._velocity(self.points.common_n):
+        for part in self._of_thrusts(self.points.common_n):
             matrix, vector, constant = matrix + part[0], vector + part[1], constant + part[2]
         return ThrustInformation(matrix[:, None], vector[:, None], constant[:, None])
 
-    def _velocity(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
-        """Information of a measured velocity change and of an accelerometer, where there are."""
-        event = self.term.event
+    def _of_thrusts(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
+        """Information beside the rows': of a velocity change, an accelerometer, late pulses."""
+        event, balance = self.term.event, self.term.balance
+        if balance.late is not None:
+            per_newton = self.term.per_newton(self.physics, self.points.n)
+            yield pushed_information(balance, per_newton, reference_n)
         given = self.physics, self._directions, self.points.parameters, reference_n
         if event.delta_v is not None:
             yield delta_v_information(event.delta_v, *given)
@@ -272,9 +293,8 @@ class TelemetryAt:
             return np.zeros((n, 0, len(self.points.shared.thrust_prior.shared)))
         on_time, pulses = np.array([event.reading.on_time_s]), np.array([event.reading.pulses])
         fired = (on_time > 0) & (pulses > 0)
-        effective = effective_on_times(event.sampling.pulse_shape, self.physics, on_time, pulses)
-        stretch = np.where(fired, effective / np.where(fired, on_time, 1.0), 1.0)
-        return np.broadcast_to(stretch, (n, *on_time.shape))
+        effective = self.term.effective_s(self.physics, n)
+        return np.where(fired, effective / np.where(fired, on_time, 1.0), 1.0)
 
     def draw(self, thrust_n: Array, rng: np.random.Generator) -> TermDraws:
         """Initial momentum, torque and cut tails given the thrusts."""
@@ -299,7 +319,7 @@ class TelemetryAt:
         vector = np.concatenate([-unknowns, np.ones((self.points.n, 1))], axis=1)
         square = np.einsum("ni,nij,nj->n", vector, self.system.normal, vector)
         density = self.system.log_scale - 0.5 * square
-        for matrix, linear, constant in self._velocity(np.zeros(self.points.n)):
+        for matrix, linear, constant in self._of_thrusts(np.zeros(self.points.n)):
             thrusts = thrust_n[:, 0]
             square = np.einsum("nk,nkl,nl->n", thrusts, matrix, thrusts)
             density = density + constant + (linear * thrusts).sum(-1) - 0.5 * square

@@ -72,6 +72,9 @@ CONTROLLERS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         "high gain, union": {"rate_gain_s": 25.0, "hysteresis": 0.0, "mapping": "union"},
     }
 )
+# Torque of a wheel's motor, N m: the first is that of the shipped scenarios. A bias takes as long
+# by either, and changes wheel rates the less. So thrusters push to and fro, not to one side.
+DRIVES: Final = MappingProxyType({"30 mN m": 0.03, "2 mN m": 0.002})
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,7 @@ class Condition:
     rates: str
     controller: str
     noise: str  # known or inferred
+    drive: str
 
     @property
     def strata(self) -> dict[str, str]:
@@ -108,6 +112,7 @@ LEVELS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "rates": tuple(RATES),
         "controller": tuple(CONTROLLERS),
         "noise": ("inferred", "known"),
+        "drive": tuple(DRIVES),
     }
 )
 
@@ -156,7 +161,18 @@ def document_under(
     document["torque_noise"] = True
     document["event"] = _events(document["event"], condition.events)
     draw_wheel_rates(document["event"], rng)
+    _drive(document, DRIVES[condition.drive])
     return document
+
+
+def _drive(document: dict[str, Any], torque_n_m: float) -> None:
+    """Drive wheels by a torque, in biases that take as long as by that of the scenarios."""
+    document["wheels"] = document.get("wheels", {}) | {"torque_limit_n_m": torque_n_m}
+    share = torque_n_m / next(iter(DRIVES.values()))
+    for event in document["event"]:
+        if event["kind"] == "bias":
+            both = zip(event["from_rpm"], event["to_rpm"], strict=True)
+            event["to_rpm"] = [start + share * (end - start) for start, end in both]
 
 
 def scenario_under(

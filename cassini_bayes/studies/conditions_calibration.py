@@ -162,8 +162,8 @@ def _body(summary: pd.DataFrame, table: pd.DataFrame, rejected: pd.DataFrame, nu
     )
     return f"""\
 Does a 90 % interval hold 90 % of the truths, whatever the flight was like? Every repetition draws
-craft, events, cadence, steps of counters and wheels, noise of rates, controller, and whether
-noise is known. Parameters are drawn from the priors.
+craft, events, cadence, steps of counters and wheels, noise of rates, controller, whether noise is
+known, and the torque that drives wheels. Parameters are drawn from the priors.
 
 The rank of the truth among 999 posterior draws is tested for every scalar in every stratum with at
 least {LEAST} repetitions: by Kolmogorov and Smirnov, and by the coverage of 90 % intervals. Holm's

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.simulation import make_plan
+from cassini_bayes.simulation.engine import ramp_duration_s
 from cassini_bayes.studies import conditions_calibration, posterior_draws
 from cassini_bayes.studies.conditions import LEVELS, Condition, draw_condition, scenario_under
 from cassini_bayes.studies.conditions_calibration import SCALARS, ConditionTrials, judged
+from cassini_bayes.studies.scenario import draw_truth
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
@@ -36,6 +39,23 @@ def test_levels_are_drawn_evenly() -> None:
             share = 1.0 / len(levels)
             count = sum(own[name] == level for own in drawn)
             assert abs(count - 900 * share) < 5 * np.sqrt(900 * share * (1 - share))
+
+
+def test_a_slow_drive_changes_wheel_rates_less_in_the_same_time() -> None:
+    """The same wheels and initial rates, a fifteenth of the change, the same duration."""
+    first = {name: levels[0] for name, levels in LEVELS.items()}
+    flown = []
+    for drive in LEVELS["drive"]:
+        condition = Condition(**{**first, "drive": drive})
+        rng = np.random.default_rng(1)
+        file = scenario_under(condition, SCENARIO, ROOT / "priors", rng)
+        (event,) = file.scenario.event
+        plan = make_plan(file.scenario, file.spacecraft, event, draw_truth(file, 3))
+        flown.append((np.array(event.from_rpm), np.array(event.to_rpm), ramp_duration_s(plan)))
+    (start, end, duration), (slow_start, slow_end, slow_duration) = flown
+    np.testing.assert_array_equal(slow_start, start)
+    np.testing.assert_allclose(slow_end - start, (end - start) / 15.0)
+    assert slow_duration == pytest.approx(duration, rel=1e-6)
 
 
 def made_up(rng: np.random.Generator, rows: int = 300) -> dict[str, Array]:

@@ -30,6 +30,7 @@ SHORT_PULSES = Condition(
     rates="ten times finer",
     controller="widths adapted",
     noise="known",
+    drive="30 mN m",
 )
 HIDDEN = {
     "thrust_scale": {"thrust_factor": 0.85},
