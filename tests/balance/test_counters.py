@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from counter_cases import CYCLE_S, readings
+from telemetry_cases import made_up_samples
 
 from cassini_bayes.balance.statistics.counters import (
+    begun_at_readings,
     counter_step,
     is_quantised,
 )
+from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, expected_on_times
 from cassini_bayes.computing.arrays import Array
 
@@ -77,3 +82,38 @@ def test_other_widths_are_not_taken_for_multiples() -> None:
     assert not is_quantised(CYCLE_S * np.round(endless[:, 0] / CYCLE_S), counted, CYCLE_S, CYCLE_S)
     assert quantised(np.full(30, CYCLE_S), 0.01)
     assert quantised(np.full(30, CYCLE_S), CYCLE_S)
+
+
+def test_a_pulse_that_begins_with_a_reading_is_counted_with_its_on_time() -> None:
+    """None of its on-time is there yet: it comes with the next reading, and so does its count.
+
+    A pulse that a reading cuts stays where it is, and one that never comes is counted as it was.
+    """
+    on_time = np.array([0.0, 0.03, 0.03, 0.31, 0.35, 0.40, 0.40])
+    pulses = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 5.0])
+    other = np.array([0.0, 0.0, 0.0, 0.02, 0.02, 0.02, 0.02])
+    found = begun_at_readings(np.stack([on_time, other], 1), np.stack([pulses, other > 0.0], 1))
+    assert found[:, 0].tolist() == [0.0, 1.0, 1.0, 3.0, 4.0, 4.0, 5.0]
+    assert found[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]
+
+
+def test_pairs_of_pulses_are_those_of_a_firing_whose_first_begins_with_a_reading() -> None:
+    """Two pulses of 31 and 250 ms, the first at a reading: one firing of two, and rows before it.
+
+    Coarse counters are left as they are: their pulses may be shorter than a step.
+    """
+    for step, kept in ((0.001, [0.0, 0.0, 2.0]), (0.01, [0.0, 1.0, 2.0])):
+        time = np.arange(400.0)
+        pulses, on_time = np.zeros(400), np.zeros(400)
+        for start in range(10, 380, 10):
+            width = step * np.round((0.02 + 0.0004 * start) / step)
+            pulses[start + 1 :] += 1.0
+            on_time[start + 1 :] += width
+        pulses[385:] += 1.0
+        pulses[386:] += 1.0
+        on_time[386:] += 0.28
+        made = made_up_samples(np.random.default_rng(1), 400)
+        chunk = replace(made, time_s=time, on_time_s=on_time[:, None], pulses=pulses[:, None])
+        (told,) = prepare([chunk], CYCLE_S, 0.3).samples([chunk])
+        begun = told.pulses[384:387, 0] - told.pulses[384, 0]
+        assert begun.tolist() == kept

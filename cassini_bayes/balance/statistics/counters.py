@@ -115,6 +115,24 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
 
 
+def begun_at_readings(on_time_s: Array, pulses: Array) -> Array:
+    """Pulses (m, K) that are counted with their on-time, where a reading has none of it yet.
+
+    A pulse that begins with a reading is in its count, and its on-time is in the next one. Taken as
+    they are read, it would be a pulse of no width, and a longer one that follows.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the cumulative counters, in order, in steps finer than any pulse.
+    """
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    begins = np.zeros_like(pulses)
+    waits = (gained[:-1] <= _SLACK) & (gained[1:] > _SLACK)
+    begins[1:-1] = np.where(waits, np.maximum(begun[:-1], 0.0), 0.0)
+    return np.asarray(pulses - begins)
+
+
 def delivered_pulses(on_time_s: Array, pulses: Array, least_s: float) -> Array:
     """Pulses (m, K) whose on-time is counted: without those that have just begun at a reading.
 
