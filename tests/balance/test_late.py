@@ -345,18 +345,14 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
     def exact(thrust: Array) -> float:
         return float(rows @ np.log((per_newton[0] @ thrust) / size))
 
-    common = np.array([0.7])
-    matrix, vector, constant = pushed_information(event, per_newton, common)
-
-    def quadratic(thrust: Array) -> float:
-        d = thrust - common
-        return float(constant[0] + vector[0] @ d - 0.5 * d @ matrix[0] @ d)
-
     rng = np.random.default_rng(0)
-    for _ in range(4):
-        move = step * rng.standard_normal(len(event.thrusts_n))
-        for thrust in (event.thrusts_n, event.thrusts_n + move, event.thrusts_n - move):
-            assert quadratic(thrust) == pytest.approx(exact(thrust), abs=1e-5)
+    for common in (np.array([0.7]), np.zeros(1)):  # the densities of a fit count from 0
+        matrix, vector, constant = pushed_information(event, per_newton, common)
+        for size_of_move in (0.0, step, step):
+            thrust = event.thrusts_n + size_of_move * rng.standard_normal(len(event.thrusts_n))
+            d = thrust - common
+            quadratic = constant[0] + vector[0] @ d - 0.5 * d @ matrix[0] @ d
+            assert quadratic == pytest.approx(exact(thrust), abs=1e-5)
     still = per_newton * np.array([1.0, 1.0, 1e-3])[:, None]
     assert in_thrust_units(event, still).answered.rows[2] == 0.0
     assert in_thrust_units(event, per_newton).answered.rows[2] == rows[2]

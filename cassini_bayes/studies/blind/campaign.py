@@ -62,7 +62,7 @@ trial."""
 OVER_CONDITIONS_DRAWN: Final = f"""\
 {ASKED} telemetry.
 Every trial draws craft, events, cadence, steps of counters and wheels, noise of rates, controller,
-and whether noise is known; parameters are drawn from the priors, wheel rates anew. What is hidden
+whether noise is known, and the torque that drives wheels; parameters are drawn from the priors, wheel rates anew. What is hidden
 acts in all events of a trial."""
 
 
