@@ -25,12 +25,16 @@ from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
     band_wheel_variances,
+    couple_torques,
+    late_variances,
     open_counters,
     turn_noise,
 )
 from cassini_bayes.computing.arrays import Array, Places
 
-LEAST_PUSH: Final = 0.01  # of the momentum about the axis that thrusters push most
+LEAST_SHARE: Final = 0.01  # of the variance of what is late about an axis, for a couple to count
+LEAST_VARIANCE: Final = 1e-30  # (N m s)²: none at all
+LEAST_PUSH: Final = 0.05  # of what thrusters deliver at the nominal point: has a logarithm
 
 
 def log_measure(
@@ -92,41 +96,53 @@ def in_channel_units(
         nominally_open=open_counters(event, physics),
     )
     rows = _answered_rows(event, physics, parameters)
-    event = replace(event, answered=Answered(rows, np.ones(3)))
+    nothing = np.zeros((3, event.pattern.thrusters))
+    event = replace(event, answered=Answered(rows, nothing))
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
     unit = flat - _count(event) * _log_det(physics.momentum_per_rate)
     return replace(event, log_unit=float(unit[0]))
 
 
-def in_thrust_units(event: TelemetryBalance, per_newton: Array) -> TelemetryBalance:
+def in_thrust_units(
+    event: TelemetryBalance, physics: Physics, delivered: Array
+) -> TelemetryBalance:
     """The same event with the thrusts' part of the measure 1 at its thrusts and one point (n = 1).
 
-    An axis about which hardly anything fires has none: its arms are small and may change sign.
+    Weights of couples are their shares of the variance of what is late about an axis. A couple that
+    next to none of it is of has none: its torque may be zero.
     """
-    size = (per_newton @ event.thrusts_n)[0]
-    is_pushed = size > LEAST_PUSH * size.max()
-    rows = np.where(is_pushed, event.answered.rows, 0.0)
-    return replace(event, answered=Answered(rows, np.where(is_pushed, size, 1.0)))
+    torque, late = couple_torques(event, physics)[0], late_variances(event, physics)[0]
+    variance = torque**2 * late
+    share = variance / np.maximum(variance.sum(axis=1, keepdims=True), LEAST_VARIANCE)
+    share = np.where(share > LEAST_SHARE, share, 0.0)
+    rows = np.where(share.any(axis=1), event.answered.rows, 0.0)
+    weights = np.zeros((3, event.pattern.thrusters))
+    for couple, members in enumerate(event.statistics.layout.couples):
+        for k in members:
+            seen = share[:, couple] > 0.0
+            whole = delivered[0, :, list(members)].T @ event.thrusts_n[list(members)]
+            weights[seen, k] = share[seen, couple] / whole[seen]
+    return replace(event, answered=Answered(rows, weights / share.sum(axis=1, keepdims=True)))
 
 
 def pushed_information(
-    event: TelemetryBalance, per_newton: Array, common_n: Array
+    event: TelemetryBalance, delivered: Array, common_n: Array
 ) -> tuple[Array, Array, Array]:
     """What the measure says of the thrusts where thrusters answer the noise.
 
-    With S_c(F) = Σ_k F_k |d_ck| t_k the momentum about axis c that thrusters deliver to either
-    side, m_c the rows whose noise they answer and S_c° the unit (:class:`.Answered`),
+    With m_c the rows about axis c whose noise they answer, and S_c the mean over couples of what
+    they deliver, in that of the event's thrusts F₀ at the nominal point (:class:`.Answered`),
 
-        Σ_c m_c log S_c(F)/S_c° ≈ Σ_c m_c (log S_c(F₀)/S_c° + x − ½ x²),   x = S_c(F)/S_c(F₀) − 1,
+        S_c(F) = Σ_k w_ck d_ck t_k F_k,      Σ_c m_c log S_c(F) ≈ Σ_c m_c (log S₀ + x − ½ x²),
 
-    about the event's thrusts F₀, which are good to a fifth: so it is quadratic in the thrusts
-    (docs/topics/telemetry-likelihood.md §4).
+    with S₀ = S_c(F₀) and x = S_c(F)/S₀ − 1: F₀ is good to a fourth, and so it is quadratic in the
+    thrusts (docs/topics/telemetry-likelihood.md §4).
 
     Parameters
     ----------
-    per_newton
-        (n, 3, K) of |d_ck| t_k, m s: lever arm times effective on-time.
+    delivered
+        (n, 3, K) of d_ck t_k, m s: lever arm times effective on-time, N m s per N.
     common_n
         (n,) the level about which thrusts are counted.
 
@@ -134,13 +150,15 @@ def pushed_information(
     -------
     Matrix (n, K, K), vector (n, K) and constant (n,), as of :class:`.ThrustInformation`.
     """
-    rows, size = event.answered
-    whole = np.where(rows > 0.0, per_newton @ event.thrusts_n, size)
-    along = per_newton / whole[..., None]
-    shift = common_n[:, None] * along.sum(axis=2) - along @ event.thrusts_n
+    rows, weights = event.answered
+    of_each = weights * delivered
+    whole = np.maximum(of_each @ event.thrusts_n, LEAST_PUSH)
+    along = of_each / whole[..., None]
+    shift = along @ (common_n[:, None] - event.thrusts_n)[..., None]
+    shift = shift[..., 0]
     matrix = np.einsum("c,nck,ncl->nkl", rows, along, along)
     vector = np.einsum("nc,nck->nk", rows * (1.0 - shift), along)
-    return matrix, vector, (np.log(whole / size) + shift - 0.5 * shift**2) @ rows
+    return matrix, vector, (np.log(whole) + shift - 0.5 * shift**2) @ rows
 
 
 def _count(event: TelemetryBalance) -> int:

@@ -182,15 +182,15 @@ class OpenCounters(NamedTuple):
 class Answered(NamedTuple):
     """What thrusters answer of an event's noise, about every axis.
 
-    ``rows`` (3,) is how many, and ``size`` (3,), N m s, the momentum that thrusters deliver to
-    either side at which the measure is 1.
+    ``rows`` (3,) is how many, and ``weights`` (3, K), 1/(N m s), are what the momentum that a
+    thruster delivers counts for.
     """
 
     rows: Array
-    size: Array
+    weights: Array
 
 
-NOTHING_ANSWERED: Final = Answered(np.zeros(3), np.ones(3))
+NOTHING_ANSWERED: Final = Answered(np.zeros(3), np.zeros((3, 0)))
 NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))
 
 

@@ -201,15 +201,22 @@ def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
     The variance of pulses at any time (:mod:`cassini_bayes.balance.statistics.late`), by couple,
     times a factor that is inferred.
     """
+    if event.late is None:
+        return np.zeros((len(physics.inertia_kg_m2), 3, 3))
+    torque = couple_torques(event, physics)
+    scaled = torque * late_variances(event, physics)[:, None]
+    return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
+
+
+def late_variances(event: TelemetryBalance, physics: Physics) -> Array:
+    """Variance (n, G), s², of what is late in rows, by couple: none where nothing is."""
     n = len(physics.inertia_kg_m2)
     if event.late is None:
-        return np.zeros((n, 3, 3))
+        return np.zeros((n, len(event.statistics.layout.couples)))
     rise, fall = (np.broadcast_to(tau, (n,)) for tau in physics.tau_s[1:])
     factor = np.broadcast_to(physics.late_factor, (n,)) / event.statistics.counters.averaged
-    torque = couple_torques(event, physics)
     late_s2 = event.late.variance_s2(rise, fall, mean_offset(physics, n))
-    scaled = torque * (factor[:, None] * late_s2)[:, None]
-    return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
+    return np.asarray(factor[:, None] * late_s2)
 
 
 def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:

@@ -36,7 +36,7 @@ from cassini_bayes.model.totals import DeltaVUse, TotalsTerm, totals_terms
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
-from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, ParameterSpec
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, LATE_FACTOR, ParameterSpec
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
@@ -45,8 +45,10 @@ Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
 _ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
-_ROUGH_FACTORS: Final = tuple(np.geomspace(0.3, 3.0, 25))  # of the expected thrust: 10 % apart
-_ROUGH_SPREAD: Final = 0.15  # of its log: judgement, twice what priors have
+_ROUGH_LATE: Final = 0.15  # the same where data tell them badly: judgement, twice what priors have
+_ROUGH_FACTOR: Final = 16.0  # on the variance of what is late: all else at its prior mean is in it
+_ROUGH_STEPS: Final = 2  # about the expected thrust, and about what comes of that
+_LEAST_ROUGH: Final = 0.3  # of the expected thrust: a logarithm is expanded about it
 _ROUGH_TAILS: Final = np.linspace(-3.0, 3.0, 25)  # prior standard deviations: 5 ms apart
 _UNLIKE: Final = 1.0  # of noise: prior standard deviations from the median
 _FARTHEST_START: Final = 4.0  # prior standard deviations: what rows show may be beyond its bounds
@@ -261,47 +263,43 @@ def _with_rough_thrusts(model: Model) -> Model:
 
     What counters leave open is momentum by the thrust that there is, not by the one that the prior
     expects (docs/topics/telemetry-likelihood.md §7). These are the posterior means of a wide prior,
-    at the prior means of all else and without torque noise: the same for all hypotheses.
+    at the prior means of all else and without torque noise: the same for all hypotheses. Where rows
+    have late pulses they are those of the likeliest tail, of a prior that is less wide (§4).
     """
     if not any(term.event.fires for term in model.telemetry):
         return model
-    prior = model.thrust_prior
-    wide = level_factor(_ROUGH * prior.common_mean_n, prior.individual_sd_n, len(prior.shared))
+    has_late = any(term.balance.late is not None for term in model.telemetry)
+    prior, means = model.thrust_prior, model.priors.means()
+    width = (_ROUGH_LATE if has_late else _ROUGH) * prior.common_mean_n
+    wide = level_factor(width, prior.individual_sd_n, len(prior.shared))
     prior = replace(prior, shared=wide, common_is_walked=False, chained=None)
-    parameters = {name: np.full(1, mean) for name, mean in model.priors.means().items()}
-    at_means = {**parameters, TORQUE_NOISE: np.zeros(1)}
-    nominal = replace(model, thrust_prior=prior).points_at(at_means, 1)
+    shared = replace(model, thrust_prior=prior)
+    at_means = {name: np.full(1, mean) for name, mean in means.items()}
+    nominal = shared.points_at({**at_means, TORQUE_NOISE: np.zeros(1)}, 1)
     # columns that effects may use have no weight yet, and are most of them
     lean = without_idle(model)
-    if any(term.balance.late is not None for term in model.telemetry):
-        return _with_thrusts(model, _likeliest_thrusts(lean, nominal), nominal)
-    means, _ = thrust_moments(prior, _collapse_at(lean, nominal).thrusts)
-    return _with_thrusts(model, np.maximum(means[0], 0.0), nominal)
-
-
-def _likeliest_thrusts(model: Model, nominal: Points) -> Array:
-    """Thrusts (E', K) that are all the same, of the greatest likelihood with some tail.
-
-    Where rows have late pulses, they scatter by what thrusters deliver. Where these mostly push to
-    and fro, that tells more of the thrust than what they push on the whole: a tail that is 20 ms
-    off makes that two thirds too small. The measure, too, is that of this size here.
-    """
-    thrust = model.thrust_prior.common_mean_n
-    shape = (len(model.fired_ids), len(model.thrust_prior.shared))
+    if not has_late:
+        rough = thrust_moments(prior, _collapse_at(lean, nominal).thrusts)[0][0]
+        return _with_thrusts(model, np.maximum(rough, 0.0), nominal)
     tail = model.priors.parameters[TAIL].distribution
     steps = np.zeros(1) if tail is None else _ROUGH_TAILS
-    known = {name: np.repeat(own, len(steps)) for name, own in nominal.parameters.items()}
+    of_tail = {name: np.full(len(steps), mean) for name, mean in means.items()}
+    of_tail[LATE_FACTOR] = np.full(len(steps), _ROUGH_FACTOR)
     if tail is not None:
-        known[TAIL] = tail.quantile_of_standard(steps)
-    points = Points(nominal.shared, known, len(steps))
-
-    def likelihood(factor: float) -> float:
-        at = _with_thrusts(model, np.full(shape, factor * thrust), nominal)
-        by_tail = _collapse_at(at, points).log_likelihood - 0.5 * steps**2
-        unlike = 0.5 * (np.log(factor) / _ROUGH_SPREAD) ** 2
-        return float(by_tail.max() - unlike + sum(term.balance.log_unit for term in at.telemetry))
-
-    return np.full(shape, thrust * max(_ROUGH_FACTORS, key=likelihood))
+        of_tail[TAIL] = tail.quantile_of_standard(steps)
+    points = shared.points_at(of_tail, len(steps))
+    is_late = np.array([t.balance.late is not None for t in model.telemetry if t.event.fires])
+    each = np.r_[np.zeros(model.fired_of_term[len(model.totals)].start, dtype=np.bool_), is_late]
+    for _ in range(_ROUGH_STEPS):
+        collapsed = _collapse_at(lean, points)
+        likeliest = int(np.argmax(collapsed.log_likelihood - 0.5 * steps**2))
+        rough = thrust_moments(prior, collapsed.thrusts)[0][likeliest]
+        # one by one they are told too badly: by what their pulses on the whole differ
+        of_all = rough.mean(axis=1, keepdims=True)
+        rough = np.where(each[:, None], of_all, rough)
+        rough = np.maximum(rough, _LEAST_ROUGH * prior.common_mean_n)
+        model, lean = (_with_thrusts(own, rough, nominal) for own in (model, lean))
+    return model
 
 
 def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points) -> Model:

@@ -172,12 +172,12 @@ class TelemetryTerm:
         physics = self.physics(nominal)
         balance = in_channel_units(balance, physics, nominal.parameters)
         if balance.late is not None:
-            balance = in_thrust_units(balance, self.per_newton(physics, 1))
+            balance = in_thrust_units(balance, physics, self.delivered(physics, 1))
         return replace(self, balance=balance)
 
-    def per_newton(self, physics: Physics, n: int) -> Array:
-        """Momentum (n, 3, K) per newton that thrusters deliver to either side, N m s/N."""
-        return np.abs(physics.arms_m) * self.effective_s(physics, n)
+    def delivered(self, physics: Physics, n: int) -> Array:
+        """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N."""
+        return np.asarray(physics.arms_m * self.effective_s(physics, n))
 
     def effective_s(self, physics: Physics, n: int) -> Array:
         """Effective on-times (n, 1, K), s, by the counters' totals."""
@@ -272,8 +272,8 @@ class TelemetryAt:
         """Information beside the rows': of a velocity change, an accelerometer, late pulses."""
         event, balance = self.term.event, self.term.balance
         if balance.late is not None:
-            per_newton = self.term.per_newton(self.physics, self.points.n)
-            yield pushed_information(balance, per_newton, reference_n)
+            delivered = self.term.delivered(self.physics, self.points.n)
+            yield pushed_information(balance, delivered, reference_n)
         given = self.physics, self._directions, self.points.parameters, reference_n
         if event.delta_v is not None:
             yield delta_v_information(event.delta_v, *given)

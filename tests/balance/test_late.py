@@ -15,7 +15,7 @@ from telemetry_cases import made_up_samples, telemetry_priors
 import cassini_bayes.balance.flat_motion
 import cassini_bayes.balance.statistics.preparation
 import cassini_bayes.model.telemetry
-from cassini_bayes.balance.flat_motion import in_thrust_units, pushed_information
+from cassini_bayes.balance.flat_motion import pushed_information
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, layout_of, reduce_chunks
 from cassini_bayes.balance.statistics.columns import close_pairs, effective_increments
@@ -23,7 +23,7 @@ from cassini_bayes.balance.statistics.counters import delivered_pulses, firings
 from cassini_bayes.balance.statistics.late import late_pulses
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
-from cassini_bayes.balance.telemetry_balance import NOTHING_ANSWERED, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import Answered, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import prepare as prepare_diagnosis
@@ -324,38 +324,74 @@ def test_thrusts_are_not_too_small_where_thrusters_push_to_and_fro(
     assert thrust_errors(flights).mean() < -1.0
 
 
-def without_thrusts(event: TelemetryBalance, _per_newton: Array) -> TelemetryBalance:
+def without_thrusts(
+    event: TelemetryBalance, _physics: Physics, _delivered: Array
+) -> TelemetryBalance:
     """Thrusters answer nothing."""
-    return replace(event, answered=NOTHING_ANSWERED)
+    nothing = Answered(np.zeros(3), np.zeros((3, event.pattern.thrusters)))
+    return replace(event, answered=nothing)
+
+
+@pytest.mark.parametrize("drive", ["30 mN m", "2 mN m"])
+def test_thrusts_that_size_what_is_late_are_told_before_the_fit(drive: str) -> None:
+    """To a fourth, of five flights with fine rates and whatever tail."""
+    for seed in range(5):
+        event, truth, condition = ceaseless_flight(seed, "1 s", "ten times finer", drive=drive)
+        model, _ = at_the_truth(event, truth, condition)
+        true = np.mean([truth[f"thrust_n[bias-1,{thruster}]"] for thruster in model.thrusters])
+        assert model.telemetry[0].balance.thrusts_n == pytest.approx(true, rel=0.25)
+
+
+def test_an_event_without_late_pulses_keeps_its_thrusts_one_by_one() -> None:
+    """Beside one that has them; those of the other are all the same."""
+    late, _, condition = ceaseless_flight(0, "1 s", "ten times finer")
+    priors = beliefs_under(condition, ROOT / "priors")
+    calm = replace(condition, controller="hysteresis")
+    rng = np.random.default_rng(7)
+    file = scenario_under(calm, ROOT / "runs/scenarios/calibration.toml", ROOT / "priors", rng)
+    other = simulate_file(file, 11, priors=priors).events[0]
+    reduced = [reduced_simulation(own, priors) for own in (late, other)]
+    reduced[1] = replace(reduced[1], statistics=replace(reduced[1].statistics, event_id="calm"))
+    model = build_model(reduced, priors)
+    of_late, of_other = (term.balance.thrusts_n for term in model.telemetry)
+    assert np.ptp(of_late) == 0.0
+    assert np.ptp(of_other) > 0.0
 
 
 def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> None:
-    """Value, slope and curvature at the event's thrusts, by the logarithm itself; none elsewhere.
+    """Value, slope and curvature at the event's thrusts, by the logarithm itself.
 
-    About an axis of which next to nothing is pushed there is no part.
+    Y thrusters push in couples, whose torques about X cancel: they have no part in it.
     """
     model, z = at_the_truth(*ceaseless_flight(3))
     (term,) = model.telemetry
-    points = model.points(z[None])
-    per_newton = term.per_newton(term.physics(points), 1)
-    event, step = term.balance, 1e-3
-    rows, size = event.answered
+    delivered = term.delivered(term.physics(model.points(z[None])), 1)
+    event, step = term.balance, 1e-2
+    rows, weights = event.answered
     assert np.all((rows > 1.0) & (rows < term.event.statistics.rows))
+    of_couples = [place for place, name in enumerate(model.thrusters) if name.startswith("y")]
+    assert np.all(weights[:2, of_couples] == 0.0)
+    assert np.all(weights[2, of_couples] != 0.0)
 
     def exact(thrust: Array) -> float:
-        return float(rows @ np.log((per_newton[0] @ thrust) / size))
+        return float(rows @ np.log((weights * delivered[0]) @ thrust))
+
+    def quadratic(thrust: Array, common: float) -> float:
+        found = pushed_information(event, delivered, np.array([common]))
+        matrix, vector, constant = (own[0] for own in found)
+        d = thrust - common
+        return float(constant + vector @ d - 0.5 * d @ matrix @ d)
 
     rng = np.random.default_rng(0)
-    for common in (np.array([0.7]), np.zeros(1)):  # the densities of a fit count from 0
-        matrix, vector, constant = pushed_information(event, per_newton, common)
-        for size_of_move in (0.0, step, step):
-            thrust = event.thrusts_n + size_of_move * rng.standard_normal(len(event.thrusts_n))
-            d = thrust - common
-            quadratic = constant[0] + vector[0] @ d - 0.5 * d @ matrix[0] @ d
-            assert quadratic == pytest.approx(exact(thrust), abs=1e-5)
-    still = per_newton * np.array([1.0, 1.0, 1e-3])[:, None]
-    assert in_thrust_units(event, still).answered.rows[2] == 0.0
-    assert in_thrust_units(event, per_newton).answered.rows[2] == rows[2]
+    for common in (0.7, 0.0):  # the densities of a fit count from 0
+        for _ in range(3):
+            move = step * rng.standard_normal(len(event.thrusts_n))
+            at = [event.thrusts_n + side * move for side in (-1.0, 0.0, 1.0)]
+            values = np.array([[quadratic(own, common), exact(own)] for own in at])
+            assert values[1, 0] == pytest.approx(values[1, 1], abs=1e-9)
+            slope, curvature = values[2] - values[0], values[2] - 2.0 * values[1] + values[0]
+            assert slope[0] == pytest.approx(slope[1], rel=0.01)
+            assert curvature[0] == pytest.approx(curvature[1], rel=0.02)
 
 
 @pytest.mark.statistical

@@ -137,7 +137,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         are_cycles = are_quantised(on_time, pulses, step_s, control_cycle_s)
         if are_cycles and width < (1.0 + LONGER) * control_cycle_s:
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
-    elif step_s <= COARSE_STEP_S:
+    elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = begun_at_readings(on_time, pulses)
     found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, pulses, end_s)

@@ -81,8 +81,8 @@ def by_condition(records: Sequence[Record]) -> pd.DataFrame:
     p_holm, rejected.
     """
     levels = [(POOLED, POOLED, list(records))] + [
-        (name, level, [r for r in records if r["condition"][name] == level])
-        for name, levels in LEVELS.items()
+        (name, level, [r for r in records if r["condition"].get(name, levels[0]) == level])
+        for name, levels in LEVELS.items()  # records from before a condition have its first
         for level in levels
     ]
     rows = [

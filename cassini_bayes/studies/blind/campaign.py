@@ -62,8 +62,8 @@ trial."""
 OVER_CONDITIONS_DRAWN: Final = f"""\
 {ASKED} telemetry.
 Every trial draws craft, events, cadence, steps of counters and wheels, noise of rates, controller,
-whether noise is known, and the torque that drives wheels; parameters are drawn from the priors, wheel rates anew. What is hidden
-acts in all events of a trial."""
+whether noise is known, and the torque that drives wheels; parameters are drawn from the priors,
+wheel rates anew. What is hidden acts in all events of a trial."""
 
 
 def run_campaign(study: Study, campaign: Blind, trials: int, parts: Sequence[str] = ()) -> None:
