@@ -136,7 +136,7 @@ def pushed_information(
 
         S_c(F) = Σ_k w_ck d_ck t_k F_k,      Σ_c m_c log S_c(F) ≈ Σ_c m_c (log S₀ + x − ½ x²),
 
-    with S₀ = S_c(F₀) and x = S_c(F)/S₀ − 1: F₀ is good to a fourth, and so it is quadratic in the
+    with S₀ = S_c(F₀) and x = S_c(F)/S₀ − 1: F₀ is good to a fifth, and so it is quadratic in the
     thrusts (docs/topics/telemetry-likelihood.md §4).
 
     Parameters

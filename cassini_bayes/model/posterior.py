@@ -46,10 +46,9 @@ _POINTS: Final = 4  # draws of the prior at which a column without weight is fou
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
 _ROUGH: Final = 0.3  # of the expected thrust, wide beside any that data have told
 _ROUGH_LATE: Final = 0.15  # the same where data tell them badly: judgement, twice what priors have
-_ROUGH_FACTOR: Final = 16.0  # on the variance of what is late: all else at its prior mean is in it
-_ROUGH_STEPS: Final = 2  # about the expected thrust, and about what comes of that
+_ROUGH_STEPS: Final = np.linspace(-4.0, 4.0, 25)  # prior standard deviations
+_ROUGH_TIMES: Final = 4  # about the expected thrust, and about what comes of that
 _LEAST_ROUGH: Final = 0.3  # of the expected thrust: a logarithm is expanded about it
-_ROUGH_TAILS: Final = np.linspace(-3.0, 3.0, 25)  # prior standard deviations: 5 ms apart
 _UNLIKE: Final = 1.0  # of noise: prior standard deviations from the median
 _FARTHEST_START: Final = 4.0  # prior standard deviations: what rows show may be beyond its bounds
 _TAIL_STARTS: Final = (-2.0, 2.0)  # of a search, prior standard deviations beside the others
@@ -263,43 +262,65 @@ def _with_rough_thrusts(model: Model) -> Model:
 
     What counters leave open is momentum by the thrust that there is, not by the one that the prior
     expects (docs/topics/telemetry-likelihood.md §7). These are the posterior means of a wide prior,
-    at the prior means of all else and without torque noise: the same for all hypotheses. Where rows
-    have late pulses they are those of the likeliest tail, of a prior that is less wide (§4).
+    at the prior means of all else and without torque noise: the same for all hypotheses. Events
+    whose rows have late pulses tell less (§4): :func:`_with_likely_thrusts`.
     """
     if not any(term.event.fires for term in model.telemetry):
         return model
-    has_late = any(term.balance.late is not None for term in model.telemetry)
-    prior, means = model.thrust_prior, model.priors.means()
-    width = (_ROUGH_LATE if has_late else _ROUGH) * prior.common_mean_n
-    wide = level_factor(width, prior.individual_sd_n, len(prior.shared))
-    prior = replace(prior, shared=wide, common_is_walked=False, chained=None)
-    shared = replace(model, thrust_prior=prior)
-    at_means = {name: np.full(1, mean) for name, mean in means.items()}
-    nominal = shared.points_at({**at_means, TORQUE_NOISE: np.zeros(1)}, 1)
+    if any(term.balance.late is not None for term in model.telemetry):
+        return _with_likely_thrusts(model)
+    wide = _with_wide_thrusts(model, _ROUGH)
+    nominal = _nominal(wide)
     # columns that effects may use have no weight yet, and are most of them
-    lean = without_idle(model)
-    if not has_late:
-        rough = thrust_moments(prior, _collapse_at(lean, nominal).thrusts)[0][0]
-        return _with_thrusts(model, np.maximum(rough, 0.0), nominal)
-    tail = model.priors.parameters[TAIL].distribution
-    steps = np.zeros(1) if tail is None else _ROUGH_TAILS
-    of_tail = {name: np.full(len(steps), mean) for name, mean in means.items()}
-    of_tail[LATE_FACTOR] = np.full(len(steps), _ROUGH_FACTOR)
-    if tail is not None:
-        of_tail[TAIL] = tail.quantile_of_standard(steps)
-    points = shared.points_at(of_tail, len(steps))
-    is_late = np.array([t.balance.late is not None for t in model.telemetry if t.event.fires])
-    each = np.r_[np.zeros(model.fired_of_term[len(model.totals)].start, dtype=np.bool_), is_late]
-    for _ in range(_ROUGH_STEPS):
+    collapsed = _collapse_at(without_idle(model), nominal)
+    rough, _ = thrust_moments(wide.thrust_prior, collapsed.thrusts)
+    return _with_thrusts(model, np.maximum(rough[0], 0.0), nominal)
+
+
+def _with_likely_thrusts(model: Model) -> Model:
+    """The same by the likeliest tail and factor on what is late, where rows have late pulses (§4).
+
+    A tail that is 20 ms off makes thrusts two thirds too small, where thrusters mostly push to and
+    fro. Of events with late pulses all thrusts are the same: one by one they are told by what their
+    pulses on the whole differ.
+    """
+    wide = _with_wide_thrusts(model, _ROUGH_LATE)
+    nominal, lean = _nominal(wide), without_idle(model)
+    names = [name for name in (TAIL, LATE_FACTOR) if name in model.space.names]
+    grid = np.meshgrid(*(_ROUGH_STEPS for _ in names), indexing="ij")
+    z = np.zeros((_ROUGH_STEPS.size ** len(names), model.space.dimension))
+    for name, own in zip(names, grid, strict=True):
+        z[:, model.space.names.index(name)] = own.ravel()
+    at = {name: np.full(len(z), mean) for name, mean in model.priors.means().items()}
+    moved = model.space.to_parameters(z)
+    points = wide.points_at({**at, **{name: moved[name] for name in names}}, len(z))
+    unlike = 0.5 * (z**2).sum(axis=1)
+    of_telemetry = [term.balance.late is not None for term in model.telemetry if term.event.fires]
+    is_late = np.zeros((len(model.fired_ids), 1), dtype=np.bool_)
+    is_late[len(is_late) - len(of_telemetry) :, 0] = of_telemetry
+    for _ in range(_ROUGH_TIMES):
         collapsed = _collapse_at(lean, points)
-        likeliest = int(np.argmax(collapsed.log_likelihood - 0.5 * steps**2))
-        rough = thrust_moments(prior, collapsed.thrusts)[0][likeliest]
-        # one by one they are told too badly: by what their pulses on the whole differ
-        of_all = rough.mean(axis=1, keepdims=True)
-        rough = np.where(each[:, None], of_all, rough)
-        rough = np.maximum(rough, _LEAST_ROUGH * prior.common_mean_n)
+        likeliest = int(np.argmax(collapsed.log_likelihood - unlike))
+        rough = thrust_moments(wide.thrust_prior, collapsed.thrusts)[0][likeliest]
+        rough = np.where(is_late, rough.mean(axis=1, keepdims=True), rough)
+        rough = np.maximum(rough, _LEAST_ROUGH * wide.thrust_prior.common_mean_n)
         model, lean = (_with_thrusts(own, rough, nominal) for own in (model, lean))
     return model
+
+
+def _with_wide_thrusts(model: Model, width: float) -> Model:
+    """The model with a wide prior of thrusts, as a share of the expected one."""
+    prior = model.thrust_prior
+    sd = width * prior.common_mean_n
+    shared = level_factor(sd, prior.individual_sd_n, len(prior.shared))
+    prior = replace(prior, shared=shared, common_is_walked=False, chained=None)
+    return replace(model, thrust_prior=prior)
+
+
+def _nominal(model: Model) -> Points:
+    """The prior means, without torque noise (n = 1)."""
+    means = {name: np.full(1, mean) for name, mean in model.priors.means().items()}
+    return model.points_at({**means, TORQUE_NOISE: np.zeros(1)}, 1)
 
 
 def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points) -> Model:

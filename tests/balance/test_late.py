@@ -334,12 +334,15 @@ def without_thrusts(
 
 @pytest.mark.parametrize("drive", ["30 mN m", "2 mN m"])
 def test_thrusts_that_size_what_is_late_are_told_before_the_fit(drive: str) -> None:
-    """To a fourth, of five flights with fine rates and whatever tail."""
-    for seed in range(5):
+    """To a tenth of most flights, whatever the tail, and to a third of all ten."""
+    found = []
+    for seed in range(10):
         event, truth, condition = ceaseless_flight(seed, "1 s", "ten times finer", drive=drive)
         model, _ = at_the_truth(event, truth, condition)
         true = np.mean([truth[f"thrust_n[bias-1,{thruster}]"] for thruster in model.thrusters])
-        assert model.telemetry[0].balance.thrusts_n == pytest.approx(true, rel=0.25)
+        found.append(model.telemetry[0].balance.thrusts_n[0] / true)
+    assert np.all(np.abs(np.array(found) - 1.0) < 0.33)
+    assert np.mean(np.abs(np.array(found) - 1.0) < 0.1) >= 0.8
 
 
 def test_an_event_without_late_pulses_keeps_its_thrusts_one_by_one() -> None:
