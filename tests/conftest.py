@@ -57,6 +57,18 @@ def short_warm_start() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def usual_drive(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conditions are drawn without the drive of wheels, which is then the first.
+
+    For tests of single flights that were chosen, among campaigns' draws, from before it was drawn.
+    """
+    from cassini_bayes.studies import conditions
+
+    levels = {name: own for name, own in conditions.LEVELS.items() if name != "drive"}
+    monkeypatch.setattr(conditions, "LEVELS", levels)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark quick tests; put the longest files first where workers share them."""
     slow = slow_tests()

@@ -89,7 +89,7 @@ class Condition:
     rates: str
     controller: str
     noise: str  # known or inferred
-    drive: str
+    drive: str = next(iter(DRIVES))
 
     @property
     def strata(self) -> dict[str, str]:

@@ -23,6 +23,8 @@ from cassini_bayes.diagnosis.search import search_from_starts, with_whole_curvat
 from cassini_bayes.studies.blind.flights import Blind, Hidden
 from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
+pytestmark = pytest.mark.usefixtures("usual_drive")
+
 ROOT = Path(__file__).parents[2]
 SEED, TRIAL = 20263603, 97  # one bias, counters of 10 ms, adapted widths, rates ten times finer
 

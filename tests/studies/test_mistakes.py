@@ -51,6 +51,7 @@ def test_an_honest_draw_passes_twice_alike() -> None:
     assert all(np.array_equal(first[key], again[key]) for key in first)
 
 
+@pytest.mark.usefixtures("usual_drive")
 def test_cut_tails_are_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
     """An honest bias whose controller fires all the time fits; without what tails lose it does not.
 
