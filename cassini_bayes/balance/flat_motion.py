@@ -110,20 +110,22 @@ def in_thrust_units(
     """The same event with the thrusts' part of the measure 1 at its thrusts and one point (n = 1).
 
     Weights of couples are their shares of the variance of what is late about an axis. A couple that
-    next to none of it is of has none: its torque may be zero.
+    next to none of it is of has none: its torque may be zero. Nor has an axis that is not pushed.
     """
     torque, late = couple_torques(event, physics)[0], late_variances(event, physics)[0]
     variance = torque**2 * late
     share = variance / np.maximum(variance.sum(axis=1, keepdims=True), LEAST_VARIANCE)
     share = np.where(share > LEAST_SHARE, share, 0.0)
-    rows = np.where(share.any(axis=1), event.answered.rows, 0.0)
+    is_pushed = share.any(axis=1)
+    share[is_pushed] /= share[is_pushed].sum(axis=1, keepdims=True)
     weights = np.zeros((3, event.pattern.thrusters))
     for couple, members in enumerate(event.statistics.layout.couples):
         for k in members:
             seen = share[:, couple] > 0.0
             whole = delivered[0, :, list(members)].T @ event.thrusts_n[list(members)]
             weights[seen, k] = share[seen, couple] / whole[seen]
-    return replace(event, answered=Answered(rows, weights / share.sum(axis=1, keepdims=True)))
+    rows = np.where(is_pushed, event.answered.rows, 0.0)
+    return replace(event, answered=Answered(rows, weights))
 
 
 def pushed_information(
@@ -154,8 +156,7 @@ def pushed_information(
     of_each = weights * delivered
     whole = np.maximum(of_each @ event.thrusts_n, LEAST_PUSH)
     along = of_each / whole[..., None]
-    shift = along @ (common_n[:, None] - event.thrusts_n)[..., None]
-    shift = shift[..., 0]
+    shift = np.einsum("nck,nk->nc", along, common_n[:, None] - event.thrusts_n)
     matrix = np.einsum("c,nck,ncl->nkl", rows, along, along)
     vector = np.einsum("nc,nck->nk", rows * (1.0 - shift), along)
     return matrix, vector, (np.log(whole) + shift - 0.5 * shift**2) @ rows

@@ -15,7 +15,7 @@ from telemetry_cases import made_up_samples, telemetry_priors
 import cassini_bayes.balance.flat_motion
 import cassini_bayes.balance.statistics.preparation
 import cassini_bayes.model.telemetry
-from cassini_bayes.balance.flat_motion import pushed_information
+from cassini_bayes.balance.flat_motion import in_thrust_units, pushed_information
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, layout_of, reduce_chunks
 from cassini_bayes.balance.statistics.columns import close_pairs, effective_increments
@@ -395,6 +395,21 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
             slope, curvature = values[2] - values[0], values[2] - 2.0 * values[1] + values[0]
             assert slope[0] == pytest.approx(slope[1], rel=0.01)
             assert curvature[0] == pytest.approx(curvature[1], rel=0.02)
+
+
+def test_an_axis_that_nothing_pushes_has_no_part_in_the_measure() -> None:
+    """No arms about X: all numbers are finite, and the other axes have what they had."""
+    model, z = at_the_truth(*ceaseless_flight(3))
+    (term,) = model.telemetry
+    physics = term.physics(model.points(z[None]))
+    flat = replace(physics, arms_m=physics.arms_m * np.array([0.0, 1.0, 1.0])[:, None])
+    found = [in_thrust_units(term.balance, own, term.delivered(own, 1)) for own in (physics, flat)]
+    (rows, weights), (flat_rows, flat_weights) = (own.answered for own in found)
+    assert flat_rows.tolist() == [0.0, *rows[1:]]
+    assert np.all(flat_weights[0] == 0.0)
+    np.testing.assert_array_equal(flat_weights[1:], weights[1:])
+    parts = pushed_information(found[1], term.delivered(flat, 1), np.zeros(1))
+    assert all(np.isfinite(part).all() for part in parts)
 
 
 @pytest.mark.statistical
