@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_balance import Answered, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import NOTHING_OPEN, Answered, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
@@ -30,7 +30,7 @@ from cassini_bayes.balance.telemetry_noise import (
     open_counters,
     turn_noise,
 )
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array
 
 LEAST_SHARE: Final = 0.01  # of the variance of what is late about an axis, for a couple to count
 LEAST_VARIANCE: Final = 1e-30  # (N m s)²: none at all
@@ -95,9 +95,6 @@ def in_channel_units(
         log_size=float(_log_det(physics.inertia_kg_m2)[0]),
         nominally_open=open_counters(event, physics),
     )
-    rows = _answered_rows(event, physics, parameters)
-    nothing = np.zeros((3, event.pattern.thrusters))
-    event = replace(event, answered=Answered(rows, nothing))
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
     unit = flat - _count(event) * _log_det(physics.momentum_per_rate)
@@ -105,12 +102,13 @@ def in_channel_units(
 
 
 def in_thrust_units(
-    event: TelemetryBalance, physics: Physics, delivered: Array
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], delivered: Array
 ) -> TelemetryBalance:
     """The same event with the thrusts' part of the measure 1 at its thrusts and one point (n = 1).
 
-    Weights of couples are their shares of the variance of what is late about an axis. A couple that
-    next to none of it is of has none: its torque may be zero. Nor has an axis that is not pushed.
+    ``delivered`` is that of :func:`pushed_information`. Weights of couples are their shares of the
+    variance of what is late about an axis. A couple that next to none of it is of has none: its
+    torque may be zero. Nor has an axis that is not pushed.
     """
     torque, late = couple_torques(event, physics)[0], late_variances(event, physics)[0]
     variance = torque**2 * late
@@ -119,12 +117,11 @@ def in_thrust_units(
     is_pushed = share.any(axis=1)
     share[is_pushed] /= share[is_pushed].sum(axis=1, keepdims=True)
     weights = np.zeros((3, event.pattern.thrusters))
-    for couple, members in enumerate(event.statistics.layout.couples):
-        for k in members:
-            seen = share[:, couple] > 0.0
-            whole = delivered[0, :, list(members)].T @ event.thrusts_n[list(members)]
-            weights[seen, k] = share[seen, couple] / whole[seen]
-    rows = np.where(is_pushed, event.answered.rows, 0.0)
+    for couple, members in enumerate(map(np.array, event.statistics.layout.couples)):
+        seen = np.flatnonzero(share[:, couple])
+        whole = delivered[0][:, members] @ event.thrusts_n[members]
+        weights[np.ix_(seen, members)] = (share[seen, couple] / whole[seen])[:, None]
+    rows = np.where(is_pushed, _answered_rows(event, physics, parameters), 0.0)
     return replace(event, answered=Answered(rows, weights))
 
 
@@ -152,6 +149,7 @@ def pushed_information(
     -------
     Matrix (n, K, K), vector (n, K) and constant (n,), as of :class:`.ThrustInformation`.
     """
+    assert event.answered is not None  # in_thrust_units has it
     rows, weights = event.answered
     of_each = weights * delivered
     whole = np.maximum(of_each @ event.thrusts_n, LEAST_PUSH)
@@ -198,30 +196,22 @@ def _answered_rows(
 
     Counted at one point (n = 1), where the event's slow motion is flat, but for the constant.
     """
-    if event.late is None:
-        return np.zeros(3)
     reference = _at_reference(event, parameters, 1)
     of_channels, whole = (
         np.diagonal(_band_noise(event, physics, reference, left_open)[0], axis1=-2, axis2=-1)
-        for left_open in (np.zeros((1, 1, 3, 3)), event.nominally_open.rows)
+        for left_open in (NOTHING_OPEN.rows, event.nominally_open.rows)
     )
     by_torque = reference["torque_noise_n_m_s05"] ** 2
     bands = len(event.slow)
-    result = np.zeros(3)
-    of_slow = zip(event.slow, np.split(event.constant, _ends(event)[:-1]), strict=True)
-    for place, (band, constant) in enumerate(of_slow):
-        share = 1.0 - of_channels[place] / (whole[place] + np.outer(band.walk, by_torque))
-        result += (1.0 - constant**2) @ share
+    modes = np.repeat(np.arange(bands), [band.rows for band in event.slow])
+    walk = np.concatenate([band.walk for band in event.slow])
+    share = 1.0 - of_channels[modes] / (whole[modes] + np.outer(walk, by_torque))
+    result = (1.0 - event.constant**2) @ share
     for place, band in enumerate(event.fast, bands):
         if band.motion is None:
             noise = whole[place] + band.walk.mean() * by_torque
-            result += band.rows * (1.0 - of_channels[place] / noise)
-    return result
-
-
-def _ends(event: TelemetryBalance) -> Places:
-    """Where the slow bands end, in modes."""
-    return np.cumsum([band.rows for band in event.slow])
+            result = result + band.rows * (1.0 - of_channels[place] / noise)
+    return np.asarray(result)
 
 
 def _band_noise(

@@ -190,7 +190,6 @@ class Answered(NamedTuple):
     weights: Array
 
 
-NOTHING_ANSWERED: Final = Answered(np.zeros(3), np.zeros((3, 0)))
 NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))
 
 
@@ -206,8 +205,7 @@ class TelemetryBalance:
     the prior means), ``nominally_open``, what counters leave open there, and ``answered`` belong
     to the measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are
     the event's thrusts to some percent: they size what counters leave open, and place the slow
-    modes.
-    ``late`` is of rows that have late pulses.
+    modes. ``late`` and ``answered`` are of rows that have late pulses.
     """
 
     statistics: EventStatistics
@@ -228,7 +226,7 @@ class TelemetryBalance:
     log_unit: float = 0.0
     log_size: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
-    answered: Answered = NOTHING_ANSWERED
+    answered: Answered | None = None
 
     @property
     def id(self) -> str:

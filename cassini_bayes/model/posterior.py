@@ -295,9 +295,9 @@ def _with_likely_thrusts(model: Model) -> Model:
     moved = model.space.to_parameters(z)
     points = wide.points_at({**at, **{name: moved[name] for name in names}}, len(z))
     unlike = 0.5 * (z**2).sum(axis=1)
-    of_telemetry = [term.balance.late is not None for term in model.telemetry if term.event.fires]
     is_late = np.zeros((len(model.fired_ids), 1), dtype=np.bool_)
-    is_late[len(is_late) - len(of_telemetry) :, 0] = of_telemetry
+    for term, fired in zip(model.telemetry, model.fired_of_term[len(model.totals) :], strict=True):
+        is_late[fired] = term.balance.late is not None
     for _ in range(_ROUGH_TIMES):
         collapsed = _collapse_at(lean, points)
         likeliest = int(np.argmax(collapsed.log_likelihood - unlike))

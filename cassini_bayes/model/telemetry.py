@@ -172,7 +172,8 @@ class TelemetryTerm:
         physics = self.physics(nominal)
         balance = in_channel_units(balance, physics, nominal.parameters)
         if balance.late is not None:
-            balance = in_thrust_units(balance, physics, self.delivered(physics, 1))
+            delivered = self.delivered(physics, 1)
+            balance = in_thrust_units(balance, physics, nominal.parameters, delivered)
         return replace(self, balance=balance)
 
     def delivered(self, physics: Physics, n: int) -> Array:
@@ -271,7 +272,7 @@ class TelemetryAt:
     def _of_thrusts(self, reference_n: Array) -> Iterator[tuple[Array, Array, Array]]:
         """Information beside the rows': of a velocity change, an accelerometer, late pulses."""
         event, balance = self.term.event, self.term.balance
-        if balance.late is not None:
+        if balance.answered is not None:
             delivered = self.term.delivered(self.physics, self.points.n)
             yield pushed_information(balance, delivered, reference_n)
         given = self.physics, self._directions, self.points.parameters, reference_n

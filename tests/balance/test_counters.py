@@ -10,8 +10,8 @@ from counter_cases import CYCLE_S, readings
 from telemetry_cases import made_up_samples
 
 from cassini_bayes.balance.statistics.counters import (
-    begun_at_readings,
     counter_step,
+    delivered_pulses,
     is_quantised,
 )
 from cassini_bayes.balance.statistics.preparation import prepare
@@ -92,9 +92,13 @@ def test_a_pulse_that_begins_with_a_reading_is_counted_with_its_on_time() -> Non
     on_time = np.array([0.0, 0.03, 0.03, 0.31, 0.35, 0.40, 0.40])
     pulses = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 4.0, 5.0])
     other = np.array([0.0, 0.0, 0.0, 0.02, 0.02, 0.02, 0.02])
-    found = begun_at_readings(np.stack([on_time, other], 1), np.stack([pulses, other > 0.0], 1))
+    both = np.stack([pulses, (other > 0.0).astype(np.float64)], 1)
+    found = delivered_pulses(np.stack([on_time, other], 1), both, 0.001)
     assert found[:, 0].tolist() == [0.0, 1.0, 1.0, 3.0, 4.0, 4.0, 5.0]
     assert found[:, 1].tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]
+    # one that shows no on-time when it should have: what fires later is none of it
+    lost, later = np.array([0.0, 1.0, 1.0, 2.0])[:, None], np.array([0.0, 0.0, 0.0, 0.03])[:, None]
+    assert delivered_pulses(later, lost, 0.001).tolist() == lost.tolist()
 
 
 def test_pairs_of_pulses_are_those_of_a_firing_whose_first_begins_with_a_reading() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from cassini_bayes.balance.statistics.counters import delivered_pulses, firings
 from cassini_bayes.balance.statistics.late import late_pulses
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
-from cassini_bayes.balance.telemetry_balance import Answered, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import prepare as prepare_diagnosis
@@ -325,11 +325,10 @@ def test_thrusts_are_not_too_small_where_thrusters_push_to_and_fro(
 
 
 def without_thrusts(
-    event: TelemetryBalance, _physics: Physics, _delivered: Array
+    event: TelemetryBalance, _physics: Physics, _parameters: Mapping[str, Array], _delivered: Array
 ) -> TelemetryBalance:
     """Thrusters answer nothing."""
-    nothing = Answered(np.zeros(3), np.zeros((3, event.pattern.thrusters)))
-    return replace(event, answered=nothing)
+    return event
 
 
 @pytest.mark.parametrize("drive", ["30 mN m", "2 mN m"])
@@ -370,6 +369,7 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
     (term,) = model.telemetry
     delivered = term.delivered(term.physics(model.points(z[None])), 1)
     event, step = term.balance, 1e-2
+    assert event.answered is not None
     rows, weights = event.answered
     assert np.all((rows > 1.0) & (rows < term.event.statistics.rows))
     of_couples = [place for place, name in enumerate(model.thrusters) if name.startswith("y")]
@@ -401,9 +401,13 @@ def test_an_axis_that_nothing_pushes_has_no_part_in_the_measure() -> None:
     """No arms about X: all numbers are finite, and the other axes have what they had."""
     model, z = at_the_truth(*ceaseless_flight(3))
     (term,) = model.telemetry
-    physics = term.physics(model.points(z[None]))
+    points = model.points(z[None])
+    physics = term.physics(points)
     flat = replace(physics, arms_m=physics.arms_m * np.array([0.0, 1.0, 1.0])[:, None])
-    found = [in_thrust_units(term.balance, own, term.delivered(own, 1)) for own in (physics, flat)]
+    found = [
+        in_thrust_units(term.balance, own, points.parameters, term.delivered(own, 1))
+        for own in (physics, flat)
+    ]
     (rows, weights), (flat_rows, flat_weights) = (own.answered for own in found)
     assert flat_rows.tolist() == [0.0, *rows[1:]]
     assert np.all(flat_weights[0] == 0.0)

@@ -115,30 +115,14 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
     return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
 
 
-def begun_at_readings(on_time_s: Array, pulses: Array) -> Array:
-    """Pulses (m, K) that are counted with their on-time, where a reading has none of it yet.
-
-    A pulse that begins with a reading is in its count, and its on-time is in the next one. Taken as
-    they are read, it would be a pulse of no width, and a longer one that follows.
-
-    Parameters
-    ----------
-    on_time_s, pulses
-        (m, K) readings of the cumulative counters, in order, in steps finer than any pulse.
-    """
-    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
-    begins = np.zeros_like(pulses)
-    waits = (gained[:-1] <= _SLACK) & (gained[1:] > _SLACK)
-    begins[1:-1] = np.where(waits, np.maximum(begun[:-1], 0.0), 0.0)
-    return np.asarray(pulses - begins)
-
-
 def delivered_pulses(on_time_s: Array, pulses: Array, least_s: float) -> Array:
     """Pulses (m, K) whose on-time is counted: without those that have just begun at a reading.
 
-    A pulse is counted when it begins. Where pulses last ``least_s`` or a little more, a thruster
-    that gained more of them than its on-time has room for has just begun one, and its on-time comes
-    with the next reading. Whatever else it gains beyond its on-time comes then, too.
+    A pulse is counted when it begins. A thruster that gained more of them than its on-time has room
+    for, each of ``least_s`` or more, has just begun one, and its on-time comes with the next
+    reading. Where pulses last that or a little more, whatever else it gains beyond its on-time
+    comes then, too. Taken as it is read, a pulse that begins with a reading would be one of no
+    width, and a longer one that follows.
 
     Parameters
     ----------
@@ -149,8 +133,9 @@ def delivered_pulses(on_time_s: Array, pulses: Array, least_s: float) -> Array:
     """
     gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
     surplus = begun - np.floor(gained / least_s + _SLACK)
-    # as many as there is room for: whatever was so at the reading before
-    told = np.where(surplus != 0.0, np.arange(len(surplus))[:, None], -1)
+    # as many as there is room for: whatever was so at the reading before, but where nothing fires
+    is_told = (surplus != 0.0) | ((gained <= 0.0) & (begun <= 0.0))
+    told = np.where(is_told, np.arange(len(surplus))[:, None], -1)
     last = np.maximum.accumulate(told, axis=0)
     begins = (last >= 0) & (np.take_along_axis(surplus, np.maximum(last, 0), axis=0) > 0.0)
     begins[:-1] &= gained[1:] > 0.0

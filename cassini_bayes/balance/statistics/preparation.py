@@ -15,7 +15,6 @@ import numpy as np
 from cassini_bayes.balance.statistics.channel_noise import channel_noise
 from cassini_bayes.balance.statistics.counters import (
     are_quantised,
-    begun_at_readings,
     counter_step,
     delivered_pulses,
 )
@@ -138,7 +137,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         if are_cycles and width < (1.0 + LONGER) * control_cycle_s:
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:
-        pulses = begun_at_readings(on_time, pulses)
+        pulses = delivered_pulses(on_time, pulses, step_s)
     found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
     return Prepared(found, time, expected.on_time_s, pulses, end_s)
 
