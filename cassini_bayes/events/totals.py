@@ -38,8 +38,6 @@ _COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
 """Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
 SHORTEST_PULSE_S: Final = 0.005
 """No valve of this kind opens for less; a mean width below it means swapped or misread columns."""
-IMPLAUSIBLE_RPM: Final = 10_000.0
-"""Beyond any wheel of this kind (Cassini's are kept below 2000): a value in other units."""
 _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 
@@ -296,17 +294,19 @@ def _wheel_rates(
             if number not in wheels and row.cells[column]:
                 expected = f"an empty cell: wheel {number} is not among the prime wheels {prime}"
                 raise row.refuse(column, expected, "correct the wheels, or empty the cell")
-    start = [_wheel_rate(row, f"{names[number]}_rpm_start") for number in wheels]
-    return start, [_wheel_rate(row, f"{names[number]}_rpm_end") for number in wheels]
+    limit = spacecraft.highest_wheel_rpm
+    start = [_wheel_rate(row, f"{names[number]}_rpm_start", limit) for number in wheels]
+    return start, [_wheel_rate(row, f"{names[number]}_rpm_end", limit) for number in wheels]
 
 
-def _wheel_rate(row: Row, column: str) -> float:
+def _wheel_rate(row: Row, column: str, limit_rpm: float) -> float:
     rate = row.number(column, "rev/min, because the wheel is prime")
-    if abs(rate) > IMPLAUSIBLE_RPM:
+    if abs(rate) > limit_rpm:
         raise row.refuse(
             column,
-            f"a wheel rate within ±{IMPLAUSIBLE_RPM:g} rev/min",
-            "check the unit (rev/min, not degrees or radians) and the decimal point",
+            f"a wheel rate within ±{limit_rpm:g} rev/min",
+            "check the unit (rev/min, not degrees or radians) and the decimal point; faster wheels"
+            " have highest_wheel_rpm in their spacecraft file",
         )
     return rate
 

@@ -17,6 +17,11 @@ from cassini_bayes.spacecraft.parameters import ParameterSpec
 
 CONTROL_CYCLE_S: Final = 0.125
 """Where a spacecraft file does not say: paper 001 section III."""
+HIGHEST_RATE_RAD_S: Final = 0.05
+"""Where a file does not say: ten times the fastest slew of Cassini on thrusters; a slew in deg/s
+exceeds it."""
+HIGHEST_WHEEL_RPM: Final = 4000.0
+"""Where a file does not say: twice what Cassini's wheels are kept below."""
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 WHEEL_KEYS: Final = (
@@ -171,7 +176,8 @@ class Spacecraft:
     ``axis_pairs`` maps a torque demand (``"+x"`` … ``"-z"``) to the thrusters fired together for
     it; ``parameters`` are the spacecraft's own (geometry, wheels); ``geometry`` maps a branch to
     its arrays; ``digest`` is the SHA-256 of the file it was read from. Pulses start with control
-    cycles of ``control_cycle_s``.
+    cycles of ``control_cycle_s``. Body rates beyond ``highest_rate_rad_s`` about an axis and wheel
+    rates beyond ``highest_wheel_rpm`` are mistakes.
     """
 
     name: str
@@ -183,6 +189,8 @@ class Spacecraft:
     geometry: Mapping[str, BranchGeometry]
     digest: str
     control_cycle_s: float = CONTROL_CYCLE_S
+    highest_rate_rad_s: float = HIGHEST_RATE_RAD_S
+    highest_wheel_rpm: float = HIGHEST_WHEEL_RPM
 
     def __post_init__(self) -> None:
         for name in ("axis_pairs", "geometry"):

@@ -20,6 +20,8 @@ from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     CONTROL_CYCLE_S,
+    HIGHEST_RATE_RAD_S,
+    HIGHEST_WHEEL_RPM,
     BranchGeometry,
     Platform,
     Spacecraft,
@@ -78,6 +80,8 @@ class _File(_Table):
     thruster: list[_ThrusterTable] = Field(min_length=1)
     axis_pairs: dict[str, list[str]]
     control_cycle_s: Annotated[float, Field(gt=0.0, le=60.0)] = CONTROL_CYCLE_S
+    highest_rate_rad_s: Annotated[float, Field(gt=0.0, le=10.0)] = HIGHEST_RATE_RAD_S
+    highest_wheel_rpm: Annotated[float, Field(gt=0.0, le=1e6)] = HIGHEST_WHEEL_RPM
 
 
 def load_spacecraft(reference: str | Path) -> Spacecraft:
@@ -144,6 +148,8 @@ def _build(content: bytes, where: str) -> Spacecraft:
         geometry={b: _branch(b, thrusters, pairs, where) for b in file.branches},
         digest=hashlib.sha256(content).hexdigest(),
         control_cycle_s=file.control_cycle_s,
+        highest_rate_rad_s=file.highest_rate_rad_s,
+        highest_wheel_rpm=file.highest_wheel_rpm,
     )
 
 

@@ -6,6 +6,7 @@ import hashlib
 import sys
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -751,3 +752,30 @@ def test_the_reader_asks_for_rows(tmp_path: Path) -> None:
     event = read_event(write_event(tmp_path, bias_rows()), CASSINI)
     with pytest.raises(InputError, match="at least one row"):
         next(read_chunks(event, CASSINI, 0))
+
+
+def test_limits_of_rates_are_the_spacecrafts(tmp_path: Path) -> None:
+    """What another unit explains for one spacecraft is how fast another one turns."""
+    fast = replace(CASSINI, highest_rate_rad_s=0.3, highest_wheel_rpm=8000.0)
+    for column, value in (("rate_y_rad_s", "0.2"), ("rwa2_rpm", "-7740")):
+        folder = tmp_path / column
+        message = refusal(write_event(folder, spoilt(set_cell(11, column, value))))
+        assert "in its spacecraft file" in message or "in their spacecraft file" in message
+        event = read_event(folder, fast)
+        assert load_event(event, fast).rows == 40
+    slow = replace(CASSINI, highest_wheel_rpm=100.0)
+    write_event(tmp_path / "slow", bias_rows())
+    with pytest.raises(InputError, match="within ±100 rev/min"):
+        load_event(read_event(tmp_path / "slow", slow), slow)
+
+
+def test_turns_between_attitudes_go_by_the_highest_rate(tmp_path: Path) -> None:
+    """A radian in a second is a jump for Cassini, and none where bodies turn so fast."""
+    rows = bias_rows()
+    turned = (np.cos(0.5) * np.array([0.6, 0.0, 0.0, 0.8]) + np.sin(0.5) * np.eye(4)[2]).tolist()
+    for row in rows[11:]:
+        row |= {f"q{i + 1}": repr(value) for i, value in enumerate(turned)}
+    folder = write_event(tmp_path, rows)
+    assert "an attitude within" in refusal(folder)
+    fast = replace(CASSINI, highest_rate_rad_s=3.0)
+    assert load_event(read_event(folder, fast), fast).rows == 40

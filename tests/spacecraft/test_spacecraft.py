@@ -41,6 +41,10 @@ MISTAKES = {
         ["branches", "'S'"],
     ),
     "branch is a number": (('= ["P", "R"]\n\n', "= [1]\n\n"), ["branches", "1"]),
+    "a limit of nothing": (
+        ("highest_wheel_rpm = 10000.0", "highest_wheel_rpm = 0.0"),
+        ["highest_wheel_rpm", "0.0"],
+    ),
     "undeclared branch": (
         ('branches = ["P"]', 'branches = ["Q"]'),
         ["thruster.r1.branches", "'Q'"],

@@ -11,7 +11,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
-from cassini_bayes.events.telemetry.rows import HIGHEST_RATE_RAD_S
 
 NORM_TOLERANCE: Final = 1e-3
 """A unit quaternion with three decimals is off by less; more is no rounding."""
@@ -22,12 +21,13 @@ JUMP_ALLOWANCE_RAD: Final = 0.05
 class Attitudes:
     """Quaternions made unit, each with the sign that continues the one before."""
 
-    def __init__(self, layout: Layout, mends: Mends) -> None:
+    def __init__(self, layout: Layout, mends: Mends, highest_rate_rad_s: float) -> None:
         self._columns = list(layout.channels["attitude"])
         self._time = layout.channels["time"][0]
         self._mends = mends
         self._last: tuple[float, Array] | None = None  # as the file has it
         self._sign = 1.0
+        self._highest_rate_rad_s = highest_rate_rad_s
 
     def checked(self, block: Block) -> Array:
         """Unit quaternions (n, 4), NaN where not sampled; (n, 0) without the channel."""
@@ -81,7 +81,7 @@ class Attitudes:
     def _check_jumps(
         self, block: Block, rows: NDArray[np.int64], cosine: Array, step_s: Array
     ) -> None:
-        allowed = HIGHEST_RATE_RAD_S * step_s + JUMP_ALLOWANCE_RAD
+        allowed = self._highest_rate_rad_s * step_s + JUMP_ALLOWANCE_RAD
         suspect = np.flatnonzero(cosine < np.cos(np.minimum(0.5 * allowed, 0.5 * np.pi)))
         if suspect.size:
             i = int(suspect[0])

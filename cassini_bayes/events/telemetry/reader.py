@@ -60,7 +60,7 @@ def read_chunks(
         layout = make_layout(
             table.header_place, table.header, spacecraft, event.kind, event.wheels, event.branch
         )
-        checks = _Checks(event, layout, collected)
+        checks = _Checks(event, spacecraft, layout, collected)
         for block in table.blocks(rows, collected):
             chunk = checks.chunk(block)
             if chunk.rows:
@@ -94,11 +94,14 @@ def load_event(event: TelemetryEvent, spacecraft: Spacecraft, mends: Mends | Non
 class _Checks:
     """Everything that is known of the rows read so far."""
 
-    def __init__(self, event: TelemetryEvent, layout: Layout, mends: Mends) -> None:
+    def __init__(
+        self, event: TelemetryEvent, spacecraft: Spacecraft, layout: Layout, mends: Mends
+    ) -> None:
         self._event = event
+        self._spacecraft = spacecraft
         self._layout = layout
         self._times = Times(layout, mends)
-        self._attitudes = Attitudes(layout, mends)
+        self._attitudes = Attitudes(layout, mends, spacecraft.highest_rate_rad_s)
         self._on_times = Counter("on_time", layout, mends, event.channels)
         self._pulses = Counter("pulses", layout, mends, event.channels)
         self._agreement = Agreement(layout)
@@ -109,7 +112,7 @@ class _Checks:
         block = self._times.checked(block)
         check_whole(block, self._layout)
         check_foreign(block, self._layout)
-        check_ranges(block, self._layout)
+        check_ranges(block, self._layout, self._spacecraft)
         for channel, columns in self._layout.channels.items():
             if columns:
                 self._samples[channel] += int(np.count_nonzero(~np.isnan(block.cells[columns[0]])))

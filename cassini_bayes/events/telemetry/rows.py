@@ -11,31 +11,10 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import Block
 from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
+from cassini_bayes.spacecraft import Spacecraft
 
-HIGHEST_RATE_RAD_S: Final = 0.05
-"""Ten times the fastest slew of Cassini on thrusters; a slew in deg/s exceeds it."""
-HIGHEST_RPM: Final = 4000.0
-"""Twice what Cassini's wheels are kept below."""
 HIGHEST_DELTA_V_M_S: Final = 2000.0
 MOST_COUNTS: Final = 1_000_000
-_RANGES: Final = {
-    "rate": (
-        HIGHEST_RATE_RAD_S,
-        f"a body rate within ±{HIGHEST_RATE_RAD_S:g} rad/s",
-        "check the unit (rad/s, not deg/s or mrad/s) and the decimal point",
-    ),
-    "wheel": (
-        HIGHEST_RPM,
-        f"a wheel rate within ±{HIGHEST_RPM:g} rev/min",
-        "check the unit (rev/min, not deg/s) and the decimal point",
-    ),
-    "delta_v": (
-        HIGHEST_DELTA_V_M_S,
-        f"a velocity change within ±{HIGHEST_DELTA_V_M_S:g} m/s",
-        "check the unit (m/s, not mm/s)",
-    ),
-}
-"""What only another unit explains: sizes beyond a channel's limit."""
 
 
 class Times:
@@ -110,11 +89,36 @@ def check_foreign(block: Block, layout: Layout) -> None:
         block.check(~np.isnan(values) & (values != 0.0), column, expected, fix)
 
 
-def check_ranges(block: Block, layout: Layout) -> None:
-    """Refuse rates, wheel rates, velocities and pressures that only another unit explains."""
-    for channel, (limit, expected, fix) in _RANGES.items():
+def check_ranges(block: Block, layout: Layout, spacecraft: Spacecraft) -> None:
+    """Refuse rates, wheel rates, velocities and pressures that only another unit explains.
+
+    How fast body and wheels can turn the spacecraft file says.
+    """
+    for channel, limit, quantity, fix in (
+        (
+            "rate",
+            spacecraft.highest_rate_rad_s,
+            "a body rate within ±{:g} rad/s",
+            "check the unit (rad/s, not deg/s or mrad/s) and the decimal point; a body that turns"
+            " faster has highest_rate_rad_s in its spacecraft file",
+        ),
+        (
+            "wheel",
+            spacecraft.highest_wheel_rpm,
+            "a wheel rate within ±{:g} rev/min",
+            "check the unit (rev/min, not deg/s) and the decimal point; faster wheels have"
+            " highest_wheel_rpm in their spacecraft file",
+        ),
+        (
+            "delta_v",
+            HIGHEST_DELTA_V_M_S,
+            "a velocity change within ±{:g} m/s",
+            "check the unit (m/s, not mm/s)",
+        ),
+    ):
         for column in layout.channels[channel]:
-            block.check(np.abs(block.cells[column]) > limit, column, expected, fix)
+            beyond = np.abs(block.cells[column]) > limit
+            block.check(beyond, column, quantity.format(limit), fix)
     expected = f"a whole number of counts within ±{MOST_COUNTS:,}"
     fix = "give the counts as telemetry has them, not a velocity"
     for column in layout.channels["accelerometer"]:
