@@ -272,3 +272,36 @@ def test_roundings_that_repeat_last(
         stated.append(found.variance_s2 / (0.01**2 / 12.0))
     assert np.mean(stated) == pytest.approx(np.mean(seen), rel=0.35)
     assert lowest < np.mean(stated) < highest
+
+
+def of_rare_company(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Rounded and true on-times and pulses (m, 4): 39 ms with the first and second, 50 ms with the
+    second and third, and at last once the first with the fourth, for 50 ms.
+    """
+    n = 120
+    pair = np.append(rng.integers(0, 2, n - 1), 2)
+    widths = np.array([0.039, 0.050, 0.050])[pair] + 0.001 * rng.standard_normal(n)
+    fired = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [1, 0, 0, 1]], dtype=np.float64)[pair]
+    true, pulses = (
+        np.concatenate([np.zeros((1, 4)), np.repeat(np.cumsum(one, axis=0), 3, axis=0)])
+        for one in (widths[:, None] * fired, fired)
+    )
+    return 0.01 * np.round(true / 0.01), true, pulses
+
+
+def test_what_is_usual_in_a_company_that_came_once_is_not_known() -> None:
+    """A pulse of 50 ms in a company of its own, of a thruster whose others last 39 ms.
+
+    It is not drawn to these, and what is open of it is as much as companies differ. Negative
+    control: by the thruster's readings alone it is, and is off by more.
+    """
+    own, alone, open_ratio = [], [], []
+    for seed in range(30):
+        shown, true, pulses = of_rare_company(np.random.default_rng(seed))
+        found = expected_on_times(shown, pulses, 0.01, 0.0)
+        own.append(np.diff(found.on_time_s[:, 0] - true[:, 0])[-3])
+        open_ratio.append(found.rounding[0].ratio[-3])
+        found = expected_on_times(shown[:, :1], pulses[:, :1], 0.01, 0.0)
+        alone.append(np.diff(found.on_time_s[:, 0] - true[:, 0])[-3])
+    assert min(open_ratio) > 1.0
+    assert np.mean(np.abs(own)) < 0.6 * np.mean(np.abs(alone))

@@ -44,10 +44,11 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 19  # raised with every change of what is stored
+_FORMAT: Final = 20  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
-MOST_STEPS: Final = 256  # intervals with firings that are told apart
+MOST_STEPS: Final = 384  # intervals with firings of a couple that are told apart
+STEPS_BY_ROW: Final = 4  # at most: where rows are means over blocks more of them tell nothing
 # Steps of counters below which bands and single columns of what is open agree: with 1 ms the truth
 # of a flight is 13 nats below the highest density by either
 # (docs/results/likelihood-experiments.md).
@@ -448,31 +449,20 @@ def _counter_statistics(
     averaged: float,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
-    every = max(1, -(-len(pairs.end_s) // MOST_STEPS))
-    # never over a quarter's end: what a column of cut tails stands for is in its own quarter
-    quarter = quarter_of(pairs.end_s, sampling.duration_s)
-    number = np.arange(len(quarter)) - np.searchsorted(quarter, quarter)
-    first = np.flatnonzero(number % every == 0)
-    weight, unlike, slopes, fired = pairs.weight, pairs.unlike, pairs.slopes, pairs.fired
-    steps = pairs.steps(sampling.pair_s2)
     by_couple, late = _by_couple(prepared.rounding, layout), prepared.late
+    steps = pairs.steps(sampling.pair_s2)
     ratio = _open_ratios(by_couple, prepared.read_s, pairs.end_s)
-    if every > 1:
-        together = np.maximum(np.add.reduceat(fired.astype(np.float64), first, axis=0), 1.0)
-        slopes = np.add.reduceat(slopes, first, axis=0) / together[..., None]
-        weight, unlike, steps, ratio = (
-            np.add.reduceat(of_all, first, axis=0) for of_all in (weight, unlike, steps, ratio)
-        )
-        fired = np.logical_or.reduceat(fired, first, axis=0)
+    most = min(MOST_STEPS, STEPS_BY_ROW * len(times.values) * times.stride)
+    pairs, steps, ratio = _joined(pairs, steps, ratio, sampling.duration_s, most)
     return CounterStatistics(
         times.values,
         times.stride,
-        pairs.end_s[first],
-        fired,
-        weight,
-        unlike,
+        pairs.end_s,
+        pairs.fired,
+        pairs.weight,
+        pairs.unlike,
         steps,
-        slopes,
+        pairs.slopes,
         np.array([one.variance_s2 for one in by_couple]),
         ratio,
         np.array([one.every for one in by_couple]),
@@ -487,6 +477,39 @@ def _counter_statistics(
         else np.zeros(len(by_couple)),
         max((one.step_s for one in by_couple), default=0.0),
     )
+
+
+def _joined(
+    pairs: Pairs, steps: Array, ratio: Array, duration_s: float, most: int
+) -> tuple[Pairs, Array, Array]:
+    """Intervals with their steps and ratios (m, G), a couple's neighbours joined beyond so many.
+
+    What joined ones have together is in the first of them: each couple has its own, as a level in a
+    wrong place shows. None is joined over a quarter's end, as a column of cut tails stands for what
+    is in its own quarter.
+    """
+    quarter = quarter_of(pairs.end_s, duration_s)
+    fired, steps, ratio = pairs.fired.copy(), steps.copy(), ratio.copy()
+    weight, unlike, slopes = pairs.weight.copy(), pairs.unlike.copy(), pairs.slopes.copy()
+    for g in range(fired.shape[1]):
+        own = np.flatnonzero(fired[:, g] | (steps[:, g] > 0.0))
+        every = -(-len(own) // most)
+        if every < 2:
+            continue
+        number = np.arange(len(own)) - np.searchsorted(quarter[own], quarter[own])
+        starts = np.flatnonzero(number % every == 0)
+        first, firings = own[starts], np.add.reduceat(fired[own, g].astype(np.float64), starts)
+        for each in (weight, unlike, steps, ratio, slopes):
+            together = np.add.reduceat(each[own, g], starts, axis=0)
+            each[own, g] = 0.0
+            each[first, g] = together
+        slopes[first, g] /= np.maximum(firings, 1.0)[:, None]
+        fired[own, g] = False
+        fired[first, g] = firings > 0.0
+    kept = np.flatnonzero(fired.any(axis=1) | (steps > 0.0).any(axis=1))
+    end_s, fired = pairs.end_s[kept], fired[kept]
+    joined = Pairs(end_s, fired, weight[kept], unlike[kept], slopes[kept])
+    return joined, steps[kept], ratio[kept]
 
 
 def _open_ratios(by_couple: Sequence[Rounding], read_s: Array, end_s: Array) -> Array:

@@ -165,13 +165,16 @@ def _spreads_by_company(
 ) -> list[tuple[Array, Array]]:
     """Variances (R,) over σ² (:func:`_spreads`) of firings beside what is usual in their company.
 
-    With each how much longer (R,), s, a firing is for it (:func:`_longer`).
+    With each how much longer (R,), s, a firing is for it (:func:`_longer`). What is usual in a
+    company that hardly ever came is not known: there its pulses have the scatter between companies
+    of the thruster for which it is largest, as one controller commands all.
     """
     spreads = _spreads(fired, rounding)
-    longer = [np.zeros_like(own.seconds) for own in fired]
+    longer, scatter = [np.zeros_like(own.seconds) for own in fired], 0.0
     for _ in range(COMPANY_ROUNDS):
         each = zip(fired, spreads, company, strict=True)
-        longer = [_longer(own, spread, sets, rounding) for own, spread, sets in each]
+        found = [_longer(own, spread, sets, rounding) for own, spread, sets in each]
+        longer, scatter = [more for more, _ in found], max((s for _, s in found), default=0.0)
         if not any(more.any() for more in longer):
             break
         beside = [
@@ -179,10 +182,19 @@ def _spreads_by_company(
             for own, more in zip(fired, longer, strict=True)
         ]
         spreads = _spreads(beside, rounding)
+    spreads = [
+        spread + np.where(_is_usual(sets), 0.0, own.pulses**2 * scatter / rounding)
+        for own, spread, sets in zip(fired, spreads, company, strict=True)
+    ]
     return list(zip(spreads, longer, strict=True))
 
 
-def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> Array:
+def _is_usual(company: Places) -> Flags:
+    """Whether the company of a firing (R,) is one that has a width of its own."""
+    return np.asarray(np.bincount(company)[company] >= LEAST_TOGETHER)
+
+
+def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> tuple[Array, float]:
     """By how much firings (R,) are longer than usual, by what thrusters they came with, s.
 
     Pulses about one axis are alike, and a thruster serves several. Those of a set of thrusters last
@@ -190,11 +202,12 @@ def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> A
     maximisation. With A the covariance of firings and Z their pulses by sets,
 
         (Zᵀ A⁻¹ Z + 1/s²) γ = Zᵀ A⁻¹ (u − n w).
+
+    With it s², none where sets cannot be compared.
     """
-    number = np.bincount(company, minlength=1)
-    usual = np.flatnonzero(number >= LEAST_TOGETHER)
-    if len(number) < 2 or len(usual) == 0:
-        return np.zeros_like(own.seconds)
+    usual = np.unique(company[_is_usual(company)])
+    if len(usual) == 0 or len(np.unique(company)) < 2:
+        return np.zeros_like(own.seconds), 0.0
     sets = own.pulses[:, None] * (company[:, None] == usual)
     solved, whole = (_solve(each, spreads, rounding) for each in (sets, own.pulses))
     gram, by_count = sets.T @ solved, sets.T @ whole
@@ -206,7 +219,7 @@ def _longer(own: Firings, spreads: Array, company: Places, rounding: float) -> A
         width = float(weights @ own.seconds / (weights @ own.pulses))
         gamma = covariance @ (solved.T @ own.seconds - width * by_count)
         square = max(float(np.mean(gamma**2 + np.diag(covariance))), LEAST_SCATTER * rounding)
-    return np.asarray(sets @ gamma)
+    return np.asarray(sets @ gamma), square if len(usual) > 1 else 0.0
 
 
 def _lasting(expected: Array, variance_s2: Array, step_s: float) -> float:
