@@ -8,6 +8,7 @@ to fifteen standard deviations by all rows after it: rows can have a column for 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -25,7 +26,8 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
 
     A cut tail takes F d (τ_f − τ_r) exp(−g/τ_f) off the momentum, g the time to the next pulse and
     d the couple's lever arm, and unlike pulses deliver more or less than is expected of their sum;
-    a rounding gives about F d times itself until the next firing.
+    a rounding gives about F d times itself until the next firing. Its size is known: the factor
+    that bands have on what coarse counters leave open counts only where it makes it larger.
 
     Parameters
     ----------
@@ -43,6 +45,8 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
     time_s = term.event.usable_rows.time_s
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
+    # few roundings may be small by chance, in bands of many rows; each by itself is what it is
+    physics = replace(physics, open_factor=np.maximum(physics.open_factor, 1.0))
     scales = open_scales(term.balance, physics)
     for g, (steps, intervals, levels) in enumerate(
         patterns_at(counters, sampling.duration_s, time_s)

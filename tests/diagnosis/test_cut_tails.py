@@ -7,11 +7,16 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from cassini_bayes.balance.linearised import fitted_away
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
+from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.innovations import with_unknowns
 from cassini_bayes.diagnosis.p_value import slow_statistic
+from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import CHANNEL_NOISE, reduced
@@ -20,6 +25,7 @@ from cassini_bayes.studies.scenario import draw_truth, simulate_file
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
+RECORDING = ROOT / "tests" / "data" / "basilisk" / "pulse-frequency-noisy-rates"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 SEED = 9
 FINE = {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
@@ -58,3 +64,18 @@ def test_single_cuts_explain_what_a_flight_without_noise_leaves() -> None:
     assert before > 50.0
     assert slow_left(view, (found, variance)) < 0.05 * before
     assert slow_left(view, (found[::-1], variance)) > 0.5 * before
+
+
+def test_roundings_are_as_large_as_they_are() -> None:
+    """A factor that makes what is open smaller in bands leaves single roundings alone."""
+    events = read_events([str(RECORDING / "1-bias")], RECORDING / "priors.toml")
+    none = none_hypothesis(events)
+    space, squares = none.model.space, []
+    for factor in (0.1, 1.0, 4.0):
+        values = {**space.centre(), "open_counter_factor": factor}
+        point = space.to_standard({name: np.array([value]) for name, value in values.items()})[0]
+        columns, variance = single_cuts(none, point, 0)
+        squares.append(float((columns**2 @ variance).sum()))
+    small, usual, large = squares
+    assert small == pytest.approx(usual, rel=1e-9)
+    assert large > 1.5 * usual
