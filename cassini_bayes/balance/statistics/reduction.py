@@ -452,7 +452,8 @@ def _counter_statistics(
     by_couple, late = _by_couple(prepared.rounding, layout), prepared.late
     steps = pairs.steps(sampling.pair_s2)
     ratio = _open_ratios(by_couple, prepared.read_s, pairs.end_s)
-    most = min(MOST_STEPS, STEPS_BY_ROW * len(times.values) * times.stride)
+    rows = max(len(times.values) * times.stride, 1)
+    most = min(MOST_STEPS, STEPS_BY_ROW * rows)
     pairs, steps, ratio = _joined(pairs, steps, ratio, sampling.duration_s, most)
     return CounterStatistics(
         times.values,
