@@ -261,20 +261,17 @@ def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    ("trial", "key", "has_two"),
+    ("trial", "key"),
     [
-        pytest.param((20263301, 17), "tau_fall_s", False, id="short tails of late pulses"),
-        pytest.param((20263303, 1329), "wheel_noise_rpm", True, id="noisy wheels in slews"),
+        pytest.param((20263301, 17), "tau_fall_s", id="short tails of late pulses"),
+        pytest.param((20263303, 1329), "wheel_noise_rpm", id="noisy wheels in slews"),
     ],
 )
-def test_searches_begin_where_the_other_mode_is(
-    trial: tuple[int, int], key: str, has_two: bool
-) -> None:
+def test_searches_begin_where_the_other_mode_is(trial: tuple[int, int], key: str) -> None:
     """Nothing is hidden: from the centre of the prior alone a search ends 50 nats too low.
 
     Wheel noise of 1.1 rpm is found at 0.06 rpm; `tail_off` had all these nats, even where nothing
-    fires; and a fit began there. Tails of 12 ms were found at 60 ms, 250 nats too low, before
-    thrusts that size what is late were those of the likeliest tail: now they are from the centre.
+    fires; and a fit began there. Tails of 12 ms are found at 60 ms, 240 nats too low.
     """
     seed, index = trial
     campaign = Blind(SCENARIO, ROOT / "priors", seed, (), OVER_CONDITIONS, over_conditions=True)
@@ -283,14 +280,14 @@ def test_searches_begin_where_the_other_mode_is(
     density, starts, space = alone.log_density, alone.model.starts, alone.model.space
     from_centre = find_mode(density, alone.dimension)
     found = highest_mode(density, starts)
-    assert (found.log_evidence > from_centre.log_evidence + 30.0) == has_two
+    assert found.log_evidence > from_centre.log_evidence + 30.0
     rng = np.random.default_rng(1)
     begun = warm_start(density, alone.dimension, rng, starts=starts, draws=500)
     truth = scene.truth().parameters[key]
     at = [float(space.to_parameters(z)[key]) for z in (from_centre.point, found.point, begun.mode)]
     bent, *right = np.abs(np.log(np.array(at) / truth))
     assert max(right) < 0.25
-    assert (bent > 1.5) == has_two
+    assert bent > 1.5
 
 
 def test_the_density_of_a_pulse_shape_has_no_edge_at_nothing() -> None:

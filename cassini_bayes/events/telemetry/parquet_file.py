@@ -107,8 +107,8 @@ def open_parquet(path: Path) -> ParquetTable:
             str(path),
             "the library pyarrow, to read Parquet",
             "an environment without it",
-            'install the extra (pip install -e ".[parquet]" in the repository), or store the'
-            " telemetry as telemetry.csv",
+            'install cassini-bayes[parquet] (pip install -e ".[parquet]" in the repository), or'
+            " store the telemetry as telemetry.csv",
         ) from None
     try:
         return ParquetTable(path, pyarrow.parquet.ParquetFile(path))
