@@ -192,6 +192,18 @@ def test_steps_longer_than_the_pulses_are_told() -> None:
         assert (found.step_s > found.width_s) is hidden
 
 
+def read_thrice(widths: Array, fired: Array) -> tuple[Array, Array, Array]:
+    """Counters in steps of 10 ms and true on-times and pulses (3 n + 1, K) of thrusters that fire
+    together, for widths (n,), as ``fired`` (n, K) says; three readings follow each firing.
+    """
+    nothing = np.zeros((1, fired.shape[1]))
+    true, pulses = (
+        np.concatenate([nothing, np.repeat(np.cumsum(one, axis=0), 3, axis=0)])
+        for one in (widths[:, None] * fired, fired)
+    )
+    return 0.01 * np.round(true / 0.01), true, pulses
+
+
 def of_two_axes(
     rng: np.random.Generator, means: tuple[float, float], scatter_s: float
 ) -> tuple[Array, Array, Array]:
@@ -201,12 +213,7 @@ def of_two_axes(
     n = 120
     pair = rng.integers(0, 2, n)
     widths = np.array(means)[pair] + scatter_s * rng.standard_normal(n)
-    fired = np.stack([np.ones(n), pair == 0, pair == 1], axis=1)
-    true, pulses = (
-        np.concatenate([np.zeros((1, 3)), np.repeat(np.cumsum(one, axis=0), 3, axis=0)])
-        for one in (widths[:, None] * fired, fired)
-    )
-    return 0.01 * np.round(true / 0.01), true, pulses
+    return read_thrice(widths, np.stack([np.ones(n), pair == 0, pair == 1], axis=1))
 
 
 def error_of_firings(shown: Array, true: Array, pulses: Array) -> float:
@@ -281,12 +288,7 @@ def of_rare_company(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     n = 120
     pair = np.append(rng.integers(0, 2, n - 1), 2)
     widths = np.array([0.039, 0.050, 0.050])[pair] + 0.001 * rng.standard_normal(n)
-    fired = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [1, 0, 0, 1]], dtype=np.float64)[pair]
-    true, pulses = (
-        np.concatenate([np.zeros((1, 4)), np.repeat(np.cumsum(one, axis=0), 3, axis=0)])
-        for one in (widths[:, None] * fired, fired)
-    )
-    return 0.01 * np.round(true / 0.01), true, pulses
+    return read_thrice(widths, np.array([[1.0, 1, 0, 0], [0, 1, 1, 0], [1, 0, 0, 1]])[pair])
 
 
 def test_what_is_usual_in_a_company_that_came_once_is_not_known() -> None:
