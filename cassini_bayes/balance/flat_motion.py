@@ -68,7 +68,7 @@ def log_measure(
         The turns' noise at the noise levels of the points. (Its torque noise lacks the slowest
         cosines, which the likelihood has as unknowns; that of the measure is whole.)
     """
-    reference = _at_reference(event, parameters, len(physics.inertia_kg_m2))
+    reference = _at_reference(event, parameters)
     growth = _body_growth(event, physics)
     physics = _of_size(physics, np.exp(-growth / 3.0))
     result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
@@ -181,11 +181,9 @@ def _of_size(physics: Physics, factor: Array) -> Physics:
     )
 
 
-def _at_reference(
-    event: TelemetryBalance, parameters: Mapping[str, Array], n: int
-) -> dict[str, Array]:
-    """Parameters (n,) with the event's reference noise."""
-    fixed = {name: np.full(n, value) for name, value in event.sampling.reference_noise}
+def _at_reference(event: TelemetryBalance, parameters: Mapping[str, Array]) -> dict[str, Array]:
+    """Parameters (n,) with the event's reference noise (1,), the same at all points."""
+    fixed = {name: np.array([value]) for name, value in event.sampling.reference_noise}
     return {**parameters, **fixed}
 
 
@@ -196,7 +194,7 @@ def _answered_rows(
 
     Counted at one point (n = 1), where the event's slow motion is flat, but for the constant.
     """
-    reference = _at_reference(event, parameters, 1)
+    reference = _at_reference(event, parameters)
     of_channels, whole = (
         np.diagonal(_band_noise(event, physics, reference, left_open)[0], axis1=-2, axis2=-1)
         for left_open in (NOTHING_OPEN.rows, event.nominally_open.rows)

@@ -23,6 +23,7 @@ LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured t
 _LEAST_SPREAD: Final = 1e-14  # of the noise in a mean square: all the rest is motion
 _SWEEPS: Final = 30  # Jacobi converges quadratically: more than any small matrix needs
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
+_TOGETHER: Final = 4  # points that share what is read of a Gram matrix
 _TILE: Final = 4  # rows whose inner products are taken together
 FILLED: Final = 8  # numbers of which the last side of Gram matrices is a multiple: vectors
 
@@ -135,7 +136,7 @@ def normal_equations(
     seen, products = np.empty((3, wheels)), np.empty((3 + wheels, 3 + wheels))
     other, covariance = np.empty((3, 3)), np.empty((3, 3))
     axes = np.empty((max(slow_bands, by_modes), 3, 3))
-    precision = np.empty((2, 3, 3))
+    precision = np.empty((_TOGETHER, 3, 3))
     gain, on_modes = np.empty((3, most)), np.zeros((_filled(width, _TILE), 3 * most))
     place_of = np.full(size, -1)
     for v in range(entries.turned.size):
@@ -162,11 +163,11 @@ def normal_equations(
         _add_squares(on_modes, 3 * slow.walk.size, normal[i])
         if is_told:
             _place(entries, used, normal[i], placed, i, lacking[i])
-    # band by band and two points at a time: Gram matrices are read from the cache half as often
+    # band by band and some points at a time: Gram matrices are read from the cache less often
     for f in range(bands):
-        for i in range(0, n, 2):
-            pair = slice(i, min(i + 2, n))
-            for p in range(pair.start, pair.stop):
+        for i in range(0, n, _TOGETHER):
+            part = slice(i, min(i + _TOGETHER, n))
+            for p in range(part.start, part.stop):
                 used, own = weights[p], noise.wheels[p]
                 for c in range(3):
                     for e in range(3):
@@ -192,7 +193,7 @@ def normal_equations(
                 if not is_told:
                     log_scale[p] -= 0.5 * fast.rows[f] * log_determinant
             _contract(
-                fast.grams[f], entries, weights[pair], precision, placed.normals, normal[pair]
+                fast.grams[f], entries, weights[part], precision, placed.normals, normal[part]
             )
     for i in range(n):
         for j in range(wheels):
@@ -220,16 +221,16 @@ def normal_equations(
         )
         _add_squares(on_modes, 3 * turns.first[by_modes], normal[i])
     for t in range(by_modes, turns.contrasts.size):
-        for i in range(0, n, 2):
-            pair = slice(i, min(i + 2, n))
-            for p in range(pair.start, pair.stop):
+        for i in range(0, n, _TOGETHER):
+            part = slice(i, min(i + _TOGETHER, n))
+            for p in range(part.start, part.stop):
                 used = weights[p]
                 for v in range(entries.turned.size):
                     for c in range(3):
                         used[entries.turned[v], c] = turned[p, t, v, c]
                 log_determinant = _invert(noise.turns[p, t], precision[p - i])
                 log_scale[p] -= 0.5 * turns.contrasts[t] * log_determinant
-            _contract(turns.grams[t - by_modes], entries, weights[pair], precision, 0, normal[pair])
+            _contract(turns.grams[t - by_modes], entries, weights[part], precision, 0, normal[part])
     for i in range(n):
         is_fine = np.isfinite(log_scale[i])
         for k in range(width):
@@ -694,13 +695,14 @@ def _contract(
 ) -> None:  # pragma: no cover - compiled
     """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to lower triangles (m, P, P).
 
-    For m = 1 or 2 points, of weights (m, B, 3) and matrices W (2, 3, 3). Only new columns from the
-    ``first`` on are in the band.
+    For m points, of weights (m, B, 3) and matrices W (≥ m, 3, 3). Only new columns from the
+    ``first`` on are in the band. All nine products of axes are written out: a sum is read and
+    written once for them.
     """
-    start, size, second = entries.start, gram.shape[0], len(used) - 1
+    start, size, points = entries.start, gram.shape[0], len(used)
     filled = gram.shape[3]
-    by_axis, products = np.zeros((2, 3, filled)), np.empty((2, filled))
-    for p in range(len(used)):
+    by_axis, products = np.zeros((points, 3, filled)), np.empty((points, filled))
+    for p in range(points):
         for b in range(size):
             for c in range(3):
                 by_axis[p, c, b] = used[p, b, c]
@@ -710,16 +712,19 @@ def _contract(
         for b in range(start[k], start[k + 1]):
             if gram[b, 0, 0, b] == 0.0 and gram[b, 1, 1, b] == 0.0 and gram[b, 2, 2, b] == 0.0:
                 continue  # zero in this band: cut tails in quiet pieces, turns in rows
-            for p in range(second + 1):
-                for c in range(3):
-                    x = precision[p, c, 0] * used[p, b, 0]
-                    y = precision[p, c, 1] * used[p, b, 1]
-                    z = precision[p, c, 2] * used[p, b, 2]
-                    for a in range(end):
-                        products[p, a] += by_axis[p, c, a] * (
-                            x * gram[b, 0, c, a] + y * gram[b, 1, c, a] + z * gram[b, 2, c, a]
-                        )
-        for p in range(second + 1):
+            own = gram[b]
+            for p in range(points):
+                one, at, w = by_axis[p], used[p, b], precision[p]
+                xx, xy, xz = w[0, 0] * at[0], w[0, 1] * at[1], w[0, 2] * at[2]
+                yx, yy, yz = w[1, 0] * at[0], w[1, 1] * at[1], w[1, 2] * at[2]
+                zx, zy, zz = w[2, 0] * at[0], w[2, 1] * at[1], w[2, 2] * at[2]
+                for a in range(end):
+                    products[p, a] += (
+                        one[0, a] * (xx * own[0, 0, a] + xy * own[1, 0, a] + xz * own[2, 0, a])
+                        + one[1, a] * (yx * own[0, 1, a] + yy * own[1, 1, a] + yz * own[2, 1, a])
+                        + one[2, a] * (zx * own[0, 2, a] + zy * own[1, 2, a] + zz * own[2, 2, a])
+                    )
+        for p in range(points):
             for before in range(first, k + 1):
                 value = 0.0
                 for b in range(start[before], start[before + 1]):

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from cassini_bayes.balance.statistics.turns import WhiteTurns
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,29 @@ def information(
         The group of every part; unknowns of one group alone are summed over first. By default
         every part is its own.
     """
+    shared, wholes = _by_group(linear, target, columns, used, groups)
+    return _beside(linear.precision[shared], wholes)
+
+
+def information_without_each(linear: Linear, target: Array, columns: Array) -> list[Information]:
+    """:func:`information` of all parts but one, for each of them: as quick as that of all."""
+    shared, wholes = _by_group(linear, target, columns)
+    prior = linear.precision[shared]
+    return [_beside(prior, [*wholes[:i], *wholes[i + 1 :]]) for i in range(len(wholes))]
+
+
+def _by_group(
+    linear: Linear,
+    target: Array,
+    columns: Array,
+    used: Array | None = None,
+    groups: Sequence[int] | None = None,
+) -> tuple[Places, list[Array]]:
+    """Unknowns (s,) that groups share, and inner products (s + q + 1, s + q + 1) of every group.
+
+    Of the columns of these unknowns, of the further ones and of the target, the group's own
+    unknowns summed over.
+    """
     counts = np.ones(len(target), dtype=bool) if used is None else used
     of_part = np.arange(len(linear.parts)) if groups is None else np.asarray(groups)
     of_value = np.repeat(of_part, 3 * np.array(linear.rows))
@@ -123,9 +146,7 @@ def information(
         blocks.append((linear.columns[rows], np.column_stack([columns[rows], target[rows]])))
         has.append(np.any(blocks[-1][0], axis=0))
     shared = np.flatnonzero(np.sum(has, axis=0) != 1)
-    gram = np.diag(linear.precision[shared])
-    across = np.zeros((len(shared), columns.shape[1] + 1))
-    square = np.zeros((columns.shape[1] + 1, columns.shape[1] + 1))
+    wholes = []
     for (block, both), own_has in zip(blocks, has, strict=True):
         own = np.setdiff1d(np.flatnonzero(own_has), shared, assume_unique=True)
         common, beside = block[:, shared], block[:, own]
@@ -133,12 +154,15 @@ def information(
         right = np.column_stack([common, both])
         pulled = beside.T @ right
         taken = pulled.T @ np.linalg.solve(inner, pulled)
-        whole = right.T @ right - taken
-        n = len(shared)
-        gram += whole[:n, :n]
-        across += whole[:n, n:]
-        square += whole[n:, n:]
-    remaining = square - across.T @ np.linalg.solve(gram, across)
+        wholes.append(right.T @ right - taken)
+    return shared, wholes
+
+
+def _beside(prior: Array, wholes: Sequence[Array]) -> Information:
+    """Information of some groups, the unknowns of precision ``prior`` (s,) summed over, too."""
+    n, whole = len(prior), np.sum(wholes, axis=0)
+    across = whole[:n, n:]
+    remaining = whole[n:, n:] - across.T @ np.linalg.solve(whole[:n, :n] + np.diag(prior), across)
     return Information(remaining[:-1, :-1], remaining[:-1, -1])
 
 

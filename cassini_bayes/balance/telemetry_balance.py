@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Final, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -29,6 +28,7 @@ from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
 from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft
 
 INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
@@ -282,6 +282,16 @@ class TelemetryBalance:
         return OpenSquares(
             np.array([band.left_open.pairs for band in bands]),
             np.array([band.left_open.columns for band in bands]),
+        )
+
+    @cached_property
+    def band_wheels(self) -> WheelSquares:
+        """Mean squares of the noise of wheel rates in slow bands and fast ones (…, S + F, W)."""
+        each = [band.wheels for band in (*self.slow, *self.fast)]
+        return WheelSquares(
+            np.stack([own.moving for own in each]),
+            np.stack([own.seen for own in each]),
+            np.stack([own.lasting for own in each], axis=1),
         )
 
     @property

@@ -66,32 +66,30 @@ def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> A
 
 def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
     """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    bands, shares = (*event.slow, *event.fast), lasting_shares(event, parameters)
-    each = [_wheel_variances(event, parameters, band.wheels, shares) for band in bands]
-    return np.ascontiguousarray(np.stack(each, axis=1))
+    return _wheel_variances(event, parameters, event.band_wheels, lasting_shares(event, parameters))
 
 
 def _wheel_variances(
     event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, shares: Array
 ) -> Array:
-    """Variance (n, W) of wheel rates by the mean squares of their noise, rad²/s².
+    """Variance (n, …, W) of wheel rates by the mean squares of their noise, rad²/s².
 
     ``shares`` (n, H) are those of :func:`lasting_shares`.
     """
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
-    repeated = rounding * shares @ squares.lasting
-    return _white_variances(event, parameters, squares, shares) + np.asarray(repeated)
+    repeated = np.tensordot(rounding * shares, squares.lasting, 1)
+    return _white_variances(event, parameters, squares, shares) + repeated
 
 
 def _white_variances(
     event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, shares: Array
 ) -> Array:
-    """Variance (n, W) of wheel rates but for roundings that last or repeat, rad²/s²."""
+    """Variance (n, …, W) of wheel rates but for roundings that last or repeat, rad²/s²."""
     noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     rounding = rounding * (1.0 - shares.sum(axis=1))
-    of_row = (noise**2 + rounding)[:, None] / event.statistics.counters.averaged
-    return np.asarray(of_row * squares.moving + squares.seen)
+    of_row = (noise**2 + rounding) / event.statistics.counters.averaged
+    return np.asarray(np.multiply.outer(of_row, squares.moving) + squares.seen)
 
 
 def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -219,15 +217,18 @@ def late_variances(event: TelemetryBalance, physics: Physics) -> Array:
     return np.asarray(factor[:, None] * late_s2)
 
 
-def open_counters(event: TelemetryBalance, physics: Physics) -> OpenCounters:
+def open_counters(
+    event: TelemetryBalance, physics: Physics, scales: OpenScales | None = None
+) -> OpenCounters:
     """Covariances of tails and on-times that counters leave open, and of late pulses, at n points.
 
-    What is late does not last: it is the same in all bands of rows.
+    What is late does not last: it is the same in all bands of rows. ``scales`` are those of
+    :func:`open_scales`, where they are known.
     """
     own, of_rows = event.left_open, len(event.slow) + len(event.fast)
     result = np.zeros((len(physics.inertia_kg_m2), len(own.pairs), 3, 3))
     if event.fires and own:
-        scales = open_scales(event, physics)
+        scales = scales or open_scales(event, physics)
         square = scales.variance_s2(own.pairs, own.columns)
         torque = scales.torque_n_m[:, None]
         result = (torque * square[:, :, None]) @ np.swapaxes(torque, -1, -2)

@@ -21,6 +21,7 @@ from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     band_wheel_variances,
     open_counters,
+    open_scales,
     turn_noise,
 )
 from cassini_bayes.balance.telemetry_weights import (
@@ -71,10 +72,11 @@ def event_system(
     """
     n, k = len(physics.inertia_kg_m2), event.pattern.thrusters
     reduced, bands = event.reduced, event.bands
-    weights = balance_weights(event, physics)
+    scales = open_scales(event, physics)
+    weights = balance_weights(event, physics, scales=scales)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
-    left_open = open_counters(event, physics)
+    left_open = open_counters(event, physics, scales)
     faster = [band.faster_s3 for band in event.turns]
     by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
     walk = walk_weights(event, parameters)

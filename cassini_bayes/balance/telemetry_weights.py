@@ -57,17 +57,23 @@ def without_idle_columns(
     return replace(event, reduced=reduced)
 
 
-def balance_weights(event: TelemetryBalance, physics: Physics, kept: Array | None = None) -> Array:
+def balance_weights(
+    event: TelemetryBalance,
+    physics: Physics,
+    kept: Array | None = None,
+    scales: OpenScales | None = None,
+) -> Array:
     """Weights (n, B, 3) of all entries of the pattern, in its order, at a batch of n points.
 
     The measured momentum is that of the measured rates and wheels, or with the matrices ``kept``
     (n, W, W) of a band that of the estimate of the true wheel rates. For residuals and their
-    derivatives: the same columns and weights that the likelihood has.
+    derivatives: the same columns and weights that the likelihood has. ``scales`` are those of
+    :func:`.open_scales`, where they are known.
     """
     wheels = event.wheel_weights(physics)
     if kept is not None:
         wheels = wheels @ kept
-    weights = _unknown_weights(event, physics, len(physics.inertia_kg_m2))
+    weights = _unknown_weights(event, physics, scales or open_scales(event, physics))
     weights[:, event.pattern.start[-2] :] = _measured_weights(event, physics, wheels)
     return weights
 
@@ -120,16 +126,15 @@ def _measured_weights(event: TelemetryBalance, physics: Physics, wheels: Array) 
     )
 
 
-def _unknown_weights(event: TelemetryBalance, physics: Physics, n: int) -> Array:
+def _unknown_weights(event: TelemetryBalance, physics: Physics, scales: OpenScales) -> Array:
     """Weights (n, B, 3) of the unknowns' entries."""
-    pattern, places = event.pattern, event.unknowns
+    pattern, places, n = event.pattern, event.unknowns, len(physics.inertia_kg_m2)
     weights = np.zeros((n, len(pattern.row), 3))
     k = pattern.thrusters
     tails = pattern.start[places.tails.start]
     weights[:, pattern.start[places.initial.start] : tails] = 1.0
     if k > 0:
         arms = np.broadcast_to(physics.arms_m, (n, 3, k))
-        scales = open_scales(event, physics)
         own = np.broadcast_to(physics.impulse_offset_s, (n, k))
         arm = np.swapaxes(arms, -1, -2)
         pulse = event.sampling.pulses.of_thrusters(physics.tau_s, own)

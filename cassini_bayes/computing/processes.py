@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -39,11 +40,29 @@ class _OtherFailedError(Exception):
 @contextmanager
 def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     """The log density with batches (n, d) cut into parts of :data:`PART` points, on threads."""
+    with spare_threads(threads):
+        yield partial(over_parts, log_density)
+
+
+@contextmanager
+def spare_threads(threads: int) -> Iterator[None]:
+    """Threads for :func:`over_parts`, of this process, while one piece of work is all there is."""
     if threads < 2:
-        yield lambda z: joined([log_density(part) for part in _parts(z)])
+        yield
         return
     with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
-        yield lambda z: joined(list(pool.map(log_density, _parts(z))))
+        _spare.append(pool)
+        try:
+            yield
+        finally:
+            _spare.pop()
+
+
+def over_parts(log_density: LogDensity, z: Array) -> Array:
+    """The log density (n,) of a batch (n, d) in parts, on spare threads if there are any."""
+    parts = _parts(z)
+    evaluated = _spare[-1].map if _spare and len(parts) > 1 else map
+    return joined(list(evaluated(log_density, parts)))
 
 
 def in_processes(
@@ -115,6 +134,7 @@ def _gathered(
 
 
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
+_spare: list[ThreadPoolExecutor] = []  # of this process, the innermost last
 
 
 def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int, stop: Any) -> None:

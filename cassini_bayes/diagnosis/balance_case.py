@@ -47,7 +47,7 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import examined, innovations, left_by
-from cassini_bayes.diagnosis.modes import Mode, find_mode, highest_mode, mode_from
+from cassini_bayes.diagnosis.modes import Mode, find_mode, highest, mode_from
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
 from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
@@ -155,8 +155,9 @@ class BalanceCase(Case[Hypothesis]):
         events = self.events
         full = none_hypothesis(events)
         none = compact(full)
-        at_starts = partial(highest_mode, none.log_density, none.model.starts)
-        (base,) = workers.results("", [at_starts], Mode)
+        density, starts = none.log_density, none.model.starts
+        at_starts = [partial(find_mode, density, none.dimension, start) for start in starts]
+        base = highest(workers.results("", at_starts, Mode))
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]

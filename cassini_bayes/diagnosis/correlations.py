@@ -248,11 +248,14 @@ def family_band(covariance: Array, rng: np.random.Generator) -> float:
 def _whiteness(linear: Linear, rows: Sequence[EventRows], lower: Array) -> list[Whiteness]:
     """Autocorrelations with the smooth part that fitting took out put back on average."""
     whiteness = []
+    root = solve_triangular(np.tril(lower), np.eye(len(lower)), lower=True)
     for event, part in zip(rows, linear.parts, strict=True):
         n = len(event.time_s)
         if n <= 2 * LAGS:
             continue
-        taken = solve_triangular(np.tril(lower), linear.columns[part].T, lower=True).T
+        own = np.flatnonzero(np.any(linear.columns[part], axis=0))
+        # the event's unknowns alone, whose covariance has this root
+        taken = linear.columns[part][:, own] @ np.asarray(np.linalg.qr(root[:, own], mode="r")).T
         taken = np.einsum("ab,nbp->anp", event.noise_factor, taken.reshape(n, 3, -1))
         for a, axis in enumerate(AXES):
             lags = _autocorrelation(event.residual_n_m_s[:, a], taken[a])

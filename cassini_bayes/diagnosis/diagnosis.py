@@ -43,7 +43,6 @@ KEPT: Final[Mapping[str, Any]] = {
     "baseline score": HeldOut | None,
     "score": HeldOut | None,
     "p": float | None,
-    "extended p": float | None,
     "runner-up": dict,
     "visible": list,
 }
@@ -105,7 +104,12 @@ def diagnose(
     of_causes = rng.spawn(len(verdict.weighed))
     of_runner_up, of_curves, of_widths = rng.spawn(3)
     # what takes longest begins
-    work: dict[str, Work] = {"shown": partial(case.show, none, extended, of_shown)}
+    work: dict[str, Work] = {}
+    if verdict.best.name == UNKNOWN:
+        work["drafts"] = partial(case.drafts, verdict.unknown)
+    if extended.is_cause:
+        work["left"] = partial(_left_by, case, extended, of_extended_p)
+    work["shown"] = partial(case.show, none, extended, of_shown)
     for part in range(PARTS):
         work[f"causes {part}"] = partial(_cause_records, case, verdict, of_causes, part)
     if measure_gain:
@@ -119,14 +123,8 @@ def diagnose(
     for width in WIDTHS:
         work[f"width {width:g}"] = partial(case.scores_at, width, verdict, deepcopy(at_start))
     work["by width"] = partial(case.by_width, verdict, of_widths)
-    if extended.is_cause:
-        work["extended p"] = partial(case.p_value, extended, of_extended_p)
     work["p"] = partial(case.p_value, none, of_p)
     work["curves"] = partial(case.curves, verdict.unknown, of_curves)
-    if verdict.best.name == UNKNOWN:
-        work["drafts"] = partial(case.drafts, verdict.unknown)
-    elif extended.is_cause:
-        work["drafts"] = partial(case.drafts, extended)
     if verdict.best is none:
         for part in range(PARTS):
             work[f"visible {part}"] = partial(_visible, case, verdict, part)
@@ -135,8 +133,9 @@ def diagnose(
     kinds = [KEPT.get(name.rstrip(" .0123456789")) for name in work]
     results = workers.results("measures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
-    if verdict.best.name != UNKNOWN and not _is_discrepant(measured.get("extended p")):
-        measured["drafts"] = ()  # nothing is left to draft from
+    if extended.is_cause:
+        measured["extended p"], drafts = measured["left"]
+        measured.setdefault("drafts", drafts)
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
     return Diagnosis(
@@ -149,6 +148,14 @@ def diagnose(
         tuple(measured["curves"]),
         tuple(measured.get("drafts", ())),
     )
+
+
+def _left_by(
+    case: Case[H], extended: Weighed[H], rng: np.random.Generator
+) -> tuple[float | None, Sequence[Any]]:
+    """The p-value of what a cause leaves, and drafts of it where it is discrepant."""
+    p = case.p_value(extended, rng)
+    return p, case.drafts(extended) if _is_discrepant(p) else ()
 
 
 def _fits_to_hold_out(

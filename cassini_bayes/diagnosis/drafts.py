@@ -29,6 +29,7 @@ from cassini_bayes.balance.linearised import (
     change_of_evidence,
     diagonal,
     information,
+    information_without_each,
     whitened,
 )
 from cassini_bayes.balance.statistics.columns import direction_cosines
@@ -154,6 +155,11 @@ class _Columns:
 class _Information(Information):
     """Information of some of the rows on all columns."""
 
+    @classmethod
+    def on(cls, told: Information) -> _Information:
+        """The same of what there is."""
+        return cls(told.matrix, told.vector)
+
     def of(self, candidate: _Candidate) -> tuple[Array, Array]:
         """M (k, k) and h (k,) of a candidate's weights."""
         plus = list(candidate.plus)
@@ -232,9 +238,8 @@ def drafts_of(
     columns = _columns(rows, thrusts)
     white = columns.white()
     target = linear.about_prior_mean(point)
-    pieces, what = _pieces(linear)
-    whole = _information(linear, target, white, ())
-    without = [_information(linear, target, white, (piece,)) for piece in pieces]
+    whole = _Information.on(information(linear, target, white))
+    without, what = _without_each(linear, target, white)
     drafts = []
     for form, candidates in columns.forms.items():
         scores = []
@@ -254,25 +259,19 @@ def drafts_of(
     return tuple(sorted(drafts, key=lambda draft: -draft.gain)[:MOST])
 
 
-def _pieces(linear: Linear) -> tuple[list[slice], str]:
-    """Rows that are held out together."""
+def _without_each(linear: Linear, target: Array, white: Array) -> tuple[list[_Information], str]:
+    """Information of all rows but those that are held out together, for each such piece."""
     if len(linear.parts) >= LEAST_PIECES:
-        return list(linear.parts), "event"
-    pieces = []
-    for part in linear.parts:
-        edges = np.linspace(part.start // 3, part.stop // 3, QUARTERS + 1).astype(int) * 3
-        pieces += [slice(int(a), int(b)) for a, b in pairwise(edges)]
-    return pieces, "quarter of an event"
-
-
-def _information(
-    linear: Linear, target: Array, white: Array, without: Sequence[slice]
-) -> _Information:
-    used = np.ones(len(target), dtype=bool)
-    for piece in without:
-        used[piece] = False
-    told = information(linear, target, white, used=used)
-    return _Information(told.matrix, told.vector)
+        told, what = information_without_each(linear, target, white), "event"
+    else:
+        told, what = [], "quarter of an event"
+        for part in linear.parts:
+            edges = np.linspace(part.start // 3, part.stop // 3, QUARTERS + 1).astype(int) * 3
+            for first, last in pairwise(edges):
+                used = np.ones(len(target), dtype=bool)
+                used[first:last] = False
+                told.append(information(linear, target, white, used=used))
+    return [_Information.on(own) for own in told], what
 
 
 def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:

@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.processes import over_parts
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.effects.effect import Effect
@@ -95,7 +96,7 @@ class Hypothesis:
         inside = np.clip(z, -reach, reach)
         wall = WALL * ((z - inside) ** 2).sum(-1)
         try:
-            return np.asarray(self._inside(inside) - wall)
+            return np.asarray(over_parts(self._inside, inside) - wall)
         except np.linalg.LinAlgError:
             values = np.concatenate([self._one(point[None]) for point in inside])
             return np.asarray(values - wall)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
 from cassini_bayes.balance.totals_terms import hold_rate_covariance
 from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.diagnosis.case import NONE
 from cassini_bayes.diagnosis.gauss_newton import Model
 from cassini_bayes.effects.controller import Fired

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final, TypeVar
 
-from cassini_bayes.computing.processes import as_finished
+from cassini_bayes.computing.processes import as_finished, spare_threads
 from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 
@@ -68,10 +68,11 @@ class StageRunner:
         missing = [place for place in range(len(work)) if place not in results]
         self._report(what, len(results), len(work))
         due = [work[place] for place in missing]
-        for i, result in as_finished(_called, due, self.processes, meanwhile):
-            place = missing[i]
-            results[place] = self._kept(names[place], kinds[place], result)
-            self._report(what, len(results), len(work))
+        with spare_threads(self.processes if len(due) == 1 else 1):
+            for i, result in as_finished(_called, due, self.processes, meanwhile):
+                place = missing[i]
+                results[place] = self._kept(names[place], kinds[place], result)
+                self._report(what, len(results), len(work))
         return [results[place] for place in range(len(work))]
 
     def _kept(self, name: str, kind: Any, result: Result) -> Result:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +34,7 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
 from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.branches import require_branch

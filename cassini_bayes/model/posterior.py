@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Final
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.computing.arrays import Array, joined
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.effect import Effect, columns_of
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -54,6 +53,7 @@ from cassini_bayes.balance.telemetry_information import row_information
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
 from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import ReducedEvent

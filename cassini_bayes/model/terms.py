@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Final, Protocol
 
 import numpy as np
 
 from cassini_bayes.balance.physics import Modifier, Physics, physics_of
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.model.thrusts import ThrustInformation, ThrustPrior
 from cassini_bayes.spacecraft import Spacecraft
 

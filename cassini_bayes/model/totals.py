@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -38,6 +37,7 @@ from cassini_bayes.balance.totals_system import (
 )
 from cassini_bayes.balance.totals_terms import TotalsStack, stack_events
 from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent

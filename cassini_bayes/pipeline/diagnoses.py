@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.diagnosis.balance_case import BalanceCase

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
 
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 
 _HALF_LOG_2PI: Final = 0.5 * math.log(2.0 * math.pi)
 _SQRT_2: Final = math.sqrt(2.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -13,6 +12,7 @@ import pandas as pd
 from cassini_bayes.balance.inertia import Physicality, physicality
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.model.observability import Observability, event_worth, observability
 from cassini_bayes.model.posterior import Model

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from scipy.special import gammaln, logsumexp
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.arviz_import import arviz
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import CassiniBayesError
 
 LogDensity = Callable[[Array], Array]

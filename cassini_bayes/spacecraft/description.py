@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.spacecraft.parameters import ParameterSpec

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.computing.processes import PART, LogDensity, in_lock_step, in_parts, in_processes
+from cassini_bayes.computing.processes import (
+    PART,
+    LogDensity,
+    in_lock_step,
+    in_parts,
+    in_processes,
+    over_parts,
+    spare_threads,
+)
 
 
 def square(z: Array) -> Array:
@@ -33,6 +41,21 @@ def test_parts_give_what_the_whole_gives(threads: int, points: int) -> None:
         np.testing.assert_array_equal(density(z), square(z))
     assert sum(seen) == points
     assert max(seen) <= PART
+
+
+def test_spare_threads_share_the_parts_of_a_batch() -> None:
+    """Two parts are worked out at the same time while there are spare threads, and not after."""
+    z = np.zeros((PART + 1, 2))
+    together = threading.Barrier(2)
+
+    def meets(part: Array) -> Array:
+        together.wait(0.5)
+        return square(part)
+
+    with spare_threads(2):
+        np.testing.assert_array_equal(over_parts(meets, z), square(z))
+    with pytest.raises(threading.BrokenBarrierError):
+        over_parts(meets, z)
 
 
 def walk(density: LogDensity, start: float, steps: int) -> list[float]:

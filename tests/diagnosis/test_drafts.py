@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import EventRows, Linear, information
 from cassini_bayes.diagnosis.case import Weighed
-from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _information, drafted, drafts_of
+from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _Information, drafted, drafts_of
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.search import search_from_starts
@@ -112,7 +112,7 @@ def test_the_change_of_evidence_is_that_of_two_normal_densities() -> None:
     rng = np.random.default_rng(3)
     columns, white, target = rng.normal(size=(24, 3)), rng.normal(size=(24, 2)), rng.normal(size=24)
     linear = Linear(target, columns, np.array([0.5, 2.0, 1.0]), (8,))
-    told = _information(linear, target, white, ())
+    told = _Information.on(information(linear, target, white))
     plain = np.eye(24) + columns @ np.diag(1.0 / linear.precision) @ columns.T
     a = 0.7
     expected = multivariate_normal(cov=plain + a**2 * white @ white.T).logpdf(target)

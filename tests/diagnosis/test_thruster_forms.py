@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.linearised import Linear, information
+from cassini_bayes.balance.linearised import Linear, information, information_without_each
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (
@@ -157,6 +157,19 @@ def test_a_second_cause_takes_the_place_of_a_form(gain: float) -> None:
         assert result.pair is None
         assert result.best.name == UNKNOWN
     assert result.named(NONE).log_evidence == 0.0
+
+
+def test_information_without_a_part_is_that_of_the_others() -> None:
+    """One pass over all parts gives what counting the others' rows alone gives, unknowns alike."""
+    rng = np.random.default_rng(4)
+    columns, of_part = rng.normal(size=(36, 6)), np.repeat([0, 1, 2], 12)
+    columns[of_part != 0, 4] = columns[of_part == 2, 5] = 0.0  # of one part alone, and of two
+    linear = Linear(rng.normal(size=36), columns, rng.uniform(0.5, 2.0, 6), (4, 4, 4))
+    further = rng.normal(size=(36, 3))
+    for part, told in enumerate(information_without_each(linear, linear.target, further)):
+        plain = information(linear, linear.target, further, used=of_part != part)
+        assert told.matrix == pytest.approx(plain.matrix, rel=1e-10)
+        assert told.vector == pytest.approx(plain.vector, rel=1e-10)
 
 
 @pytest.mark.parametrize("groups", [None, [0, 1, 0, 1]])

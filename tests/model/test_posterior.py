@@ -53,7 +53,7 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
 
 
 def test_points_do_not_depend_on_what_is_worked_out_with_them() -> None:
-    """Batches of one, of two and of an odd number: kernels take two points at a time.
+    """Batches of one, of two and of an odd number: kernels take four points at a time.
 
     Products of matrices round otherwise by their shape, and sums of squares cancel: 8e-12 at most
     in twenty such models.

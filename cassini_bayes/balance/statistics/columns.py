@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +33,7 @@ from cassini_bayes.balance.statistics.rows import (
 )
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AXES = "xyz"

@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 # Below and above the rise time, where the effective time bends, and a pulse that has reached its

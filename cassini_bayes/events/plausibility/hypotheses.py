@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import permutations, product
 from typing import Final, TypeVar
 
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.events.plausibility.attitudes import CONVENTIONS
 from cassini_bayes.events.plausibility.momentum import (
     WIDTHS,

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import combinations
 from typing import Final
 
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
 from cassini_bayes.events.plausibility.rows import Rows
 from cassini_bayes.spacecraft import (

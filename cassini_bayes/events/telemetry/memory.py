@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry.block import EVERYTHING, Block, Selection, no_numbers
 from cassini_bayes.events.telemetry.clocks import seconds_of

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.computing.arrays import Array, Places, joined, picked
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.mission.circumstances import Circumstances

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, MistakeError, TelemetryCheck
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
