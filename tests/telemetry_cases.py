@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +26,7 @@ from cassini_bayes.balance.statistics import (
 )
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm

@@ -115,14 +115,15 @@ def information(
         every part is its own.
     """
     shared, wholes = _by_group(linear, target, columns, used, groups)
-    return _beside(linear.precision[shared], wholes)
+    return _beside(linear.precision[shared], sum(wholes, np.zeros_like(wholes[0])))
 
 
 def information_without_each(linear: Linear, target: Array, columns: Array) -> list[Information]:
     """:func:`information` of all parts but one, for each of them: as quick as that of all."""
     shared, wholes = _by_group(linear, target, columns)
-    prior = linear.precision[shared]
-    return [_beside(prior, [*wholes[:i], *wholes[i + 1 :]]) for i in range(len(wholes))]
+    prior, nothing = linear.precision[shared], np.zeros_like(wholes[0])
+    others = [[*wholes[:i], *wholes[i + 1 :]] for i in range(len(wholes))]
+    return [_beside(prior, sum(own, nothing)) for own in others]
 
 
 def _by_group(
@@ -158,9 +159,9 @@ def _by_group(
     return shared, wholes
 
 
-def _beside(prior: Array, wholes: Sequence[Array]) -> Information:
-    """Information of some groups, the unknowns of precision ``prior`` (s,) summed over, too."""
-    n, whole = len(prior), np.sum(wholes, axis=0)
+def _beside(prior: Array, whole: Array) -> Information:
+    """Information by inner products, unknowns of a precision ``prior`` (s,) summed over, too."""
+    n = len(prior)
     across = whole[:n, n:]
     remaining = whole[n:, n:] - across.T @ np.linalg.solve(whole[:n, :n] + np.diag(prior), across)
     return Information(remaining[:-1, :-1], remaining[:-1, -1])

@@ -12,7 +12,7 @@ from typing import Any, TypeVar, overload
 Value = TypeVar("Value")
 
 
-class cached_property(functools.cached_property[Value]):  # noqa: N801 (named as Python's own)
+class cached_property(functools.cached_property[Value]):  # noqa: N801, TID251 (Python's own)
     """Like :class:`functools.cached_property`; threads that ask at once may each work it out."""
 
     @overload

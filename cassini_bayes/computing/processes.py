@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -40,28 +41,35 @@ class _OtherFailedError(Exception):
 @contextmanager
 def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     """The log density with batches (n, d) cut into parts of :data:`PART` points, on threads."""
-    with spare_threads(threads):
-        yield partial(over_parts, log_density)
+    if threads < 2:
+        yield partial(_over_parts, None, log_density)
+        return
+    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
+        yield partial(_over_parts, pool, log_density)
 
 
 @contextmanager
 def spare_threads(threads: int) -> Iterator[None]:
-    """Threads for :func:`over_parts`, of this process, while one piece of work is all there is."""
+    """Threads for :func:`over_parts` while one piece of work is all there is."""
     if threads < 2:
         yield
         return
     with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
-        _spare.append(pool)
+        before = _spare.set(pool)
         try:
             yield
         finally:
-            _spare.pop()
+            _spare.reset(before)
 
 
 def over_parts(log_density: LogDensity, z: Array) -> Array:
-    """The log density (n,) of a batch (n, d) in parts, on spare threads if there are any."""
+    """The log density (n,) of a batch (n, d) in parts, on spare threads if this one has any."""
+    return _over_parts(_spare.get(), log_density, z)
+
+
+def _over_parts(pool: ThreadPoolExecutor | None, log_density: LogDensity, z: Array) -> Array:
     parts = _parts(z)
-    evaluated = _spare[-1].map if _spare and len(parts) > 1 else map
+    evaluated = map if pool is None or len(parts) == 1 else pool.map
     return joined(list(evaluated(log_density, parts)))
 
 
@@ -134,12 +142,14 @@ def _gathered(
 
 
 _work: list[tuple[Callable[[Any], Any], Any]] = []  # of a forked process
-_spare: list[ThreadPoolExecutor] = []  # of this process, the innermost last
+# of the thread that has them: neither their own work nor other threads wait for them
+_spare: ContextVar[ThreadPoolExecutor | None] = ContextVar("spare threads", default=None)
 
 
 def _inherit(work: list[tuple[Callable[[Any], Any], Any]], parent: int, stop: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says that it was interrupted
     threading.Thread(target=_end_in_time, args=(parent, stop), daemon=True).start()
+    _spare.set(None)  # threads do not come along
     gc.freeze()  # a collection would copy all that is inherited
     _work[:] = work
 

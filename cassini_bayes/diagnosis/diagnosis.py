@@ -22,6 +22,7 @@ from cassini_bayes.diagnosis.case import (
     Weighed,
     Work,
 )
+from cassini_bayes.diagnosis.drafts import Draft
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, normalised, weigh
@@ -43,6 +44,8 @@ KEPT: Final[Mapping[str, Any]] = {
     "baseline score": HeldOut | None,
     "score": HeldOut | None,
     "p": float | None,
+    "left": tuple[float | None, tuple[Draft, ...]],
+    "drafts": tuple[Draft, ...],
     "runner-up": dict,
     "visible": list,
 }
@@ -108,7 +111,8 @@ def diagnose(
     if verdict.best.name == UNKNOWN:
         work["drafts"] = partial(case.drafts, verdict.unknown)
     if extended.is_cause:
-        work["left"] = partial(_left_by, case, extended, of_extended_p)
+        drafts = verdict.best.name != UNKNOWN
+        work["left"] = partial(_left_by, case, extended, of_extended_p, drafts=drafts)
     work["shown"] = partial(case.show, none, extended, of_shown)
     for part in range(PARTS):
         work[f"causes {part}"] = partial(_cause_records, case, verdict, of_causes, part)
@@ -134,8 +138,8 @@ def diagnose(
     results = workers.results("measures", list(work.values()), kinds)
     measured = dict(zip(work, results, strict=True))
     if extended.is_cause:
-        measured["extended p"], drafts = measured["left"]
-        measured.setdefault("drafts", drafts)
+        measured["extended p"], left = measured["left"]
+        measured.setdefault("drafts", left)
     widths = {width: normalised(measured[f"width {width:g}"]) for width in WIDTHS}
     record = _record(case, verdict, extended, widths, measured)
     return Diagnosis(
@@ -151,11 +155,11 @@ def diagnose(
 
 
 def _left_by(
-    case: Case[H], extended: Weighed[H], rng: np.random.Generator
-) -> tuple[float | None, Sequence[Any]]:
-    """The p-value of what a cause leaves, and drafts of it where it is discrepant."""
+    case: Case[H], extended: Weighed[H], rng: np.random.Generator, *, drafts: bool
+) -> tuple[float | None, tuple[Draft, ...]]:
+    """The p-value of what a cause leaves, and drafts of it if wanted, where it is discrepant."""
     p = case.p_value(extended, rng)
-    return p, case.drafts(extended) if _is_discrepant(p) else ()
+    return p, tuple(case.drafts(extended)) if drafts and _is_discrepant(p) else ()
 
 
 def _fits_to_hold_out(

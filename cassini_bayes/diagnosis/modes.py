@@ -104,8 +104,6 @@ def maximise(log_density: LogDensity, point: Array, axes: Array, steps: int = MO
         if not next_value - value > LEAST_SHARE * predicted:
             break
         point, value, gradient = ahead, next_value, next_gradient
-    if steps == 0:
-        return point
 
     def objective(u: Array) -> tuple[float, Array]:
         value, gradient = value_and_gradient(log_density, point + axes @ u, axes)
@@ -139,12 +137,8 @@ def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
 
 
 def mode_from(log_density: LogDensity, start: Mode) -> Mode:
-    """Mode with its whole curvature, from that of another density with the same coordinates.
-
-    Where Newton steps along the other's axes fail, these are wrong, and L-BFGS along them may end
-    at a point from which curvatures lead no farther (4 nats too low without one bias of five).
-    """
-    point = maximise(log_density, start.point, start.factor, 0)
+    """Mode with its whole curvature, from that of another density with the same coordinates."""
+    point = maximise(log_density, start.point, start.factor, FIRST_STEPS)
     return mode_near(log_density, point, start.factor)
 
 
@@ -175,7 +169,12 @@ def highest(modes: Sequence[Mode]) -> Mode:
 
 def mode_at(log_density: LogDensity, point: Array, factor: Array) -> Mode:
     """A point (d,) with its Laplace factor (d, d) as a mode."""
-    return Mode(point, factor, float(log_density(point[None])[0]) + volume(factor))
+    return mode_of(point, factor, float(log_density(point[None])[0]))
+
+
+def mode_of(point: Array, factor: Array, value: float) -> Mode:
+    """The same where the log density at the point is known."""
+    return Mode(point, factor, value + volume(factor))
 
 
 def volume(factor: Array) -> float:

@@ -13,6 +13,7 @@ from itertools import count
 from typing import Any, Final, TypeVar
 
 from cassini_bayes.computing.processes import as_finished, spare_threads
+from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 
@@ -68,7 +69,8 @@ class StageRunner:
         missing = [place for place in range(len(work)) if place not in results]
         self._report(what, len(results), len(work))
         due = [work[place] for place in missing]
-        with spare_threads(self.processes if len(due) == 1 else 1):
+        # linear algebra rounds by its threads: one, whoever works
+        with one_thread(), spare_threads(self.processes if len(due) == 1 else 1):
             for i, result in as_finished(_called, due, self.processes, meanwhile):
                 place = missing[i]
                 results[place] = self._kept(names[place], kinds[place], result)

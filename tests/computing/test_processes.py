@@ -48,14 +48,34 @@ def test_spare_threads_share_the_parts_of_a_batch() -> None:
     z = np.zeros((PART + 1, 2))
     together = threading.Barrier(2)
 
-    def meets(part: Array) -> Array:
-        together.wait(0.5)
+    def meets(part: Array, wait_s: float = 20.0) -> Array:
+        together.wait(wait_s)
         return square(part)
 
     with spare_threads(2):
         np.testing.assert_array_equal(over_parts(meets, z), square(z))
     with pytest.raises(threading.BrokenBarrierError):
-        over_parts(meets, z)
+        over_parts(partial(meets, wait_s=0.3), z)
+
+
+def test_spare_threads_are_those_of_the_thread_that_has_them() -> None:
+    """Other threads, threads of the pool itself and forked processes do their work alone."""
+    z = np.zeros((PART + 1, 2))
+    alone = partial(over_parts, square)
+    with spare_threads(2):
+        np.testing.assert_array_equal(over_parts(lambda part: alone(z)[: len(part)], z), square(z))
+        assert in_processes(lambda _: float(alone(z)[0]), range(2), 2) == [0.0, 0.0]
+        elsewhere: list[bool] = []
+
+        def work() -> None:
+            with in_parts(square, 2) as density, spare_threads(2):
+                elsewhere.append(bool((density(z) == alone(z)).all()))
+
+        other = threading.Thread(target=work)
+        other.start()
+        other.join()
+        assert elsewhere == [True]
+        np.testing.assert_array_equal(alone(z), square(z))  # its own are still there
 
 
 def walk(density: LogDensity, start: float, steps: int) -> list[float]:

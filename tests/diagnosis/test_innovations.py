@@ -39,6 +39,7 @@ ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 LEAK_N = 1.0e-4
+LAGGED = range(1, 6)
 
 
 @cache
@@ -136,6 +137,25 @@ def test_wheels_are_named_by_number_and_a_leak_is_seen() -> None:
     assert not any("rwa3" in name for name in drivers)
     assert max(abs(t.z) for t in found.drivers if np.isfinite(t.z)) > found.family_z
     assert any("not white" in s.what for s in find_symptoms(left_by(verdict(True)).rows, found))
+
+
+def test_autocorrelations_get_back_what_fitting_takes_out() -> None:
+    """Against the covariance of all unknowns, written out: X (XᵀX + P)⁻¹ Xᵀ at every lag."""
+    left = left_by(verdict(False))
+    linear, found = left.linear, iter(shown(verdict(False)).whiteness)
+    covariance = np.linalg.inv(linear.columns.T @ linear.columns + np.diag(linear.precision))
+    for event, part in zip(left.rows, linear.parts, strict=True):
+        n = len(event.time_s)
+        columns = linear.columns[part].reshape(n, 3, -1)
+        in_axes = np.einsum("ab,nbp->anp", event.noise_factor, columns)
+        for residual, own in zip(event.residual_n_m_s.T, in_axes, strict=True):
+            taken = own @ covariance
+            lags = range(len(LAGGED) + 1)
+            sums = [residual[k:] @ residual[: n - k] for k in lags]
+            sums = [s + (taken[k:] * own[: n - k]).sum() for k, s in zip(lags, sums, strict=True)]
+            assert next(found).value[: len(LAGGED)] == pytest.approx(
+                np.array(sums[1:]) / sums[0], rel=1e-4, abs=1e-6
+            )
 
 
 def test_nothing_hidden_stays_in_the_bands() -> None:

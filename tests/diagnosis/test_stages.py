@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from threading import Barrier, BrokenBarrierError
 
 import numpy as np
 import pytest
 
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.processes import PART, over_parts
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.errors import InputError
@@ -71,6 +74,23 @@ def test_progress_counts_what_was_there(tmp_path: Path) -> None:
         *(("first", 3, 3), ("second", 3, 3)),
         *(("third", 0, 2), ("third", 1, 2), ("third", 2, 2)),
     ]
+
+
+def test_a_piece_that_is_alone_has_threads_for_its_batches() -> None:
+    """Parts of its batches are worked out side by side; with one process they are not."""
+
+    def piece(wait_s: float) -> float:
+        together = Barrier(2)
+
+        def density(part: Array) -> Array:
+            together.wait(wait_s)
+            return part[:, 0]
+
+        return float(over_parts(density, np.ones((PART + 1, 1))).sum())
+
+    assert StageRunner(2).results("", [partial(piece, 20.0)], float) == [PART + 1.0]
+    with pytest.raises(BrokenBarrierError):
+        StageRunner(1).results("", [partial(piece, 0.3)], float)
 
 
 def test_pieces_of_another_diagnosis_are_refused(tmp_path: Path) -> None:
