@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.kernel import log_of_flat_rows
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import NOTHING_OPEN, Answered, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
@@ -26,6 +27,7 @@ from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     band_wheel_variances,
     couple_torques,
+    covariance_beside_wheels,
     late_variances,
     open_counters,
     turn_noise,
@@ -224,19 +226,17 @@ def _band_noise(
 
 def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array]) -> Array:
     """The part of the rows."""
-    by_torque = reference["torque_noise_n_m_s05"][:, None, None] ** 2
-    noise = _band_noise(event, physics, reference, event.nominally_open.rows)
-    bands = len(event.slow)
-    modes = np.array([band.rows for band in event.slow])
-    values = np.repeat(np.linalg.eigvalsh(noise[:, :bands]), modes, axis=1)
-    walk = np.concatenate([band.walk for band in event.slow])
-    slow = np.swapaxes(values, 1, 2) + by_torque * walk
-    result = np.log(slow).sum((1, 2)) + np.log((event.constant**2 / slow).sum(-1)).sum(-1)
-    others = event.statistics.rows - modes.sum()
-    for band, own in zip(event.fast, np.moveaxis(noise[:, bands:], 1, 0), strict=True):
-        if band.motion is None:
-            result = result + band.rows * _log_det(own + band.walk.mean() * by_torque * np.eye(3))
-            others -= band.rows
+    flat, left_open = event.flat_rows, event.nominally_open.rows
+    bands = len(event.slow) + len(event.fast)
+    result = log_of_flat_rows(
+        covariance_beside_wheels(event, physics, reference),
+        np.ascontiguousarray(np.broadcast_to(left_open, (len(left_open), bands, 3, 3))),
+        np.ascontiguousarray(event.wheel_weights(physics)),
+        band_wheel_variances(event, reference),
+        reference["torque_noise_n_m_s05"] ** 2,
+        flat,
+    )
+    others = event.statistics.rows - flat.first[-1] - flat.rows.sum()
     return np.asarray(0.5 * result + others * _log_det(physics.momentum_per_rate))
 
 

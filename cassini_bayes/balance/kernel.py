@@ -3,7 +3,8 @@
 Columns combine into P new ones per axis, y_c,k(t) = Σ_b w[b, c] C_c,b(t), over the columns b that
 are of new column k; what the likelihood needs are the inner products of these under the noise of
 every band. Each of the B columns is of one new column: where several are made of the same, it is
-there as often. Other threads may work on other points.
+there as often. Other threads may work on other points. The noise of turns, and determinants of that
+of rows, are here for the sake of the same small matrices.
 
 Linear algebra on three or four wheels is written out: calls of LAPACK from
 compiled code hold the interpreter's lock and cost more than the work. So are copies: an assignment
@@ -72,6 +73,37 @@ class Turns(NamedTuple):
     first: Places  # (S + 1,)
     grams: Array  # (T − S, B, 3, 3, B′)
     contrasts: Array  # (T,)
+
+
+class TurnSums(NamedTuple):
+    """Mean squares per contrast of T bands of turns (:class:`.bands.TurnBand`)."""
+
+    summed_s2: Array  # (T,) of summed white noise
+    rounded_s2: Array  # (T, H, W) of every wheel's rounding, by harmonic
+
+
+class FlatRows(NamedTuple):
+    """Bands of rows in which wheels move by any amount: S of modes, then f of Gram matrices.
+
+    Of band s are the modes from ``first[s]`` to ``first[s + 1]``.
+    """
+
+    first: Places  # (S + 1,)
+    walk: Array  # (M,) variances of a unit random walk, s
+    constant: Array  # (M,) a constant of unit length on the modes
+    fast: Places  # (f,) places among the fast bands
+    rows: Array  # (f,)
+    fast_walk: Array  # (f,) s
+
+
+class ChannelNoise(NamedTuple):
+    """Noise of channels at n points: of each as many as there are points, or one for all."""
+
+    rate: Array  # (n,) variance of a measured body rate, rad²/s²
+    attitude: Array  # (n,) variance of an attitude, rad²
+    wheel: Array  # (n, W) variance of a wheel rate but for what lasts or repeats, rad²/s²
+    repeated: Array  # (n, H) that of roundings that do, by harmonic, rad²/s²
+    torque: Array  # (n,) density of torque noise, N² m² s
 
 
 class Noise(NamedTuple):
@@ -368,6 +400,138 @@ def without_own(
             solved[i], matrix[i], vector[i] = 0.0, 0.0, 0.0
             constant[i] = -np.inf
     return factor, solved[:, :, k], solved[:, :, :k], matrix, vector, constant
+
+
+@compiled_sums
+def turn_covariances(
+    by_rate: Array,
+    inertia: Array,
+    wheels: Array,
+    noise: ChannelNoise,
+    left_open: Array,
+    sums: TurnSums,
+    torque_s3: Array,
+) -> tuple[Array, Array]:  # pragma: no cover - compiled
+    """Gain and covariance of turns, given the rows (:func:`.telemetry_noise.turn_noise`).
+
+    Parameters
+    ----------
+    by_rate, inertia
+        (n, 3, 3) momentum per measured rate, and per rate of the body.
+    wheels
+        (n, 3, W) momentum per wheel rate.
+    noise, sums
+        See there.
+    left_open
+        (n or 1, T, 3, 3) what counters leave open, (N m s²)².
+    torque_s3
+        (T,) what of a unit random walk is in the noise of every band.
+    """
+    n, bands, count = len(by_rate), sums.summed_s2.size, wheels.shape[2]
+    gain, covariance = np.empty((n, bands, 3, 3)), np.empty((n, bands, 3, 3))
+    gyro, turn, precision = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    shared, more, half = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    variance = np.empty(count)
+    for i in range(n):
+        own = min(i, noise.rate.size - 1)
+        attitude, wheel = min(i, noise.attitude.size - 1), min(i, len(noise.wheel) - 1)
+        repeated, torque = min(i, len(noise.repeated) - 1), min(i, noise.torque.size - 1)
+        is_open = min(i, len(left_open) - 1)
+        for c in range(3):
+            for d in range(3):
+                gyro[c, d] = turn[c, d] = 0.0
+                for k in range(3):
+                    gyro[c, d] += by_rate[i, c, k] * by_rate[i, d, k]
+                    turn[c, d] += inertia[i, c, k] * inertia[i, d, k]
+                gyro[c, d] *= noise.rate[own]
+                turn[c, d] *= noise.attitude[attitude]
+        _invert(gyro, precision)
+        for t in range(bands):
+            for w in range(count):
+                variance[w] = sums.summed_s2[t] * noise.wheel[wheel, w]
+                for h in range(noise.repeated.shape[1]):
+                    variance[w] += noise.repeated[repeated, h] * sums.rounded_s2[t, h, w]
+            for c in range(3):
+                for d in range(3):
+                    value = left_open[is_open, t, c, d]
+                    for w in range(count):
+                        value += wheels[i, c, w] * variance[w] * wheels[i, d, w]
+                    shared[c, d] = value
+                shared[c, c] += noise.torque[torque] * torque_s3[t]
+            for c in range(3):
+                for d in range(3):
+                    value = 0.0
+                    for k in range(3):
+                        value += shared[c, k] * precision[k, d]
+                    gain[i, t, c, d] = value / sums.summed_s2[t]
+                    more[c, d] = gain[i, t, c, d] + (1.0 if c == d else 0.0)
+            for c in range(3):
+                for d in range(3):
+                    half[c, d] = 0.0
+                    for k in range(3):
+                        half[c, d] += more[c, k] * turn[k, d]
+            for c in range(3):
+                for d in range(3):
+                    value = 0.0
+                    for k in range(3):
+                        value += half[c, k] * more[d, k] + more[c, k] * shared[k, d]
+                    covariance[i, t, c, d] = value
+    return gain, covariance
+
+
+@compiled_sums
+def log_of_flat_rows(
+    white: Array, left_open: Array, wheels: Array, variance: Array, torque: Array, flat: FlatRows
+) -> Array:  # pragma: no cover - compiled
+    """Log determinants (n,) of the noise of bands of rows, the constant of the slow ones left out.
+
+    Σ_m log det V_m + Σ_a log Σ_m c_m²/λ_am + Σ_f R_f log det V_f, with λ_am the eigenvalues of the
+    noise V_m = V + t_m σ² of a mode in order of their size, t_m the walk's variance there and c_m
+    the constant (docs/topics/telemetry-likelihood.md §3).
+
+    Parameters
+    ----------
+    white
+        (n, 3, 3) covariance of what rates and attitudes put into a row, (N m s)².
+    left_open
+        (n or 1, S + F, 3, 3) what counters leave open, (N m s)².
+    wheels, variance
+        (n, 3, W) momentum per wheel rate; (n or 1, S + F, W) their noise, rad²/s².
+    torque
+        (n or 1,) density of torque noise, N² m² s.
+    flat
+        The bands.
+    """
+    n, slow = len(white), flat.first.size - 1
+    result, held = np.zeros(n), np.empty(3)
+    beside, covariance, spare = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(n):
+        is_open, noise = min(i, len(left_open) - 1), min(i, len(variance) - 1)
+        walk, own = torque[min(i, torque.size - 1)], wheels[i]
+        held[:] = 0.0
+        for s in range(slow):
+            for c in range(3):
+                for d in range(3):
+                    beside[c, d] = white[i, c, d] + left_open[is_open, s, c, d]
+            _add_wheels(beside, variance[noise, s], own, own, covariance)
+            _diagonalise(covariance, spare)
+            values = np.sort(np.array([covariance[0, 0], covariance[1, 1], covariance[2, 2]]))
+            for m in range(flat.first[s], flat.first[s + 1]):
+                for a in range(3):
+                    value = values[a] + walk * flat.walk[m]
+                    result[i] += np.log(value)
+                    held[a] += flat.constant[m] ** 2 / value
+        for a in range(3):
+            result[i] += np.log(held[a])
+        for f in range(flat.fast.size):
+            place = slow + flat.fast[f]
+            for c in range(3):
+                for d in range(3):
+                    beside[c, d] = white[i, c, d] + left_open[is_open, place, c, d]
+                beside[c, c] += walk * flat.fast_walk[f]
+            _add_wheels(beside, variance[noise, place], own, own, covariance)
+            result[i] += flat.rows[f] * _factor(covariance, spare)
+    return result
 
 
 @compiled_sums

@@ -20,9 +20,17 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
-from cassini_bayes.balance.kernel import FILLED, Entries, FastBands, SlowBands, Turns
+from cassini_bayes.balance.kernel import (
+    FILLED,
+    Entries,
+    FastBands,
+    FlatRows,
+    SlowBands,
+    Turns,
+    TurnSums,
+)
 from cassini_bayes.balance.physics import Physics, physics_of
-from cassini_bayes.balance.rounded_wheels import WheelSquares
+from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
 from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
@@ -292,6 +300,29 @@ class TelemetryBalance:
             np.stack([own.moving for own in each]),
             np.stack([own.seen for own in each]),
             np.stack([own.lasting for own in each], axis=1),
+        )
+
+    @cached_property
+    def flat_rows(self) -> FlatRows:
+        """The bands of rows in which wheels move by any amount."""
+        modes = np.r_[0, np.cumsum([band.rows for band in self.slow])]
+        fast = [f for f, band in enumerate(self.fast) if band.motion is None]
+        return FlatRows(
+            modes,
+            np.concatenate([band.walk for band in self.slow]),
+            self.constant,
+            np.array(fast, dtype=np.int64),
+            np.array([float(self.fast[f].rows) for f in fast]),
+            np.array([self.fast[f].walk.mean() for f in fast]),
+        )
+
+    @cached_property
+    def turn_sums(self) -> TurnSums:
+        """Mean squares of the noise of turns, by band."""
+        rounded = [band.rounded_s2 for band in self.turns]
+        return TurnSums(
+            np.array([band.summed_s2 for band in self.turns]),
+            np.array(rounded).reshape(len(rounded), HARMONICS, len(self.wheel_places)),
         )
 
     @property

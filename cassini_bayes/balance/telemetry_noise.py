@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.kernel import ChannelNoise, turn_covariances
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
@@ -155,42 +156,24 @@ def turn_noise(
     ``torque_s3`` (T,) what of a unit random walk is in the noise of every band
     (:class:`.TurnBand`).
     """
-    shared = _shared_turn_covariances(event, physics, parameters, torque_s3) + left_open
-    inertia, by_rate = physics.inertia_kg_m2, physics.momentum_per_rate
-    rate = np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2)[:, None, None]
-    of_gyro = rate * by_rate @ np.swapaxes(by_rate, -1, -2)
-    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    of_turns = (attitude * inertia @ np.swapaxes(inertia, -1, -2))[:, None]
-    summed = np.array([band.summed_s2 for band in event.turns])[:, None, None]
-    gain = shared @ np.linalg.inv(of_gyro)[:, None] / summed
-    more = np.eye(3) + gain
-    covariance = more @ of_turns @ np.swapaxes(more, -1, -2) + more @ shared
-    return TurnNoise(gain, np.ascontiguousarray(covariance))
-
-
-def _shared_turn_covariances(
-    event: TelemetryBalance,
-    physics: Physics,
-    parameters: Mapping[str, Array],
-    torque_s3: Sequence[float],
-) -> Array:
-    """Covariance (n, T, 3, 3) of what is in integrated rows and in turns alike, (N m s²)².
-
-    But for what counters leave open.
-    """
-    wheels = event.wheel_weights(physics)
-    rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     shares = lasting_shares(event, parameters)
-    coherent = rounding * shares
-    noise = _white_variances(event, parameters, event.wheels, shares)
-    summed = np.array([band.summed_s2 for band in event.turns])
-    rounded = np.array([band.rounded_s2 for band in event.turns])
-    rounded = rounded.reshape(-1, HARMONICS, noise.shape[1])
-    variance = np.multiply.outer(summed, noise).swapaxes(0, 1)
-    variance = variance + np.tensordot(coherent, rounded, (1, 1))
-    of_wheels = (wheels[:, None] * variance[:, :, None]) @ np.swapaxes(wheels, -1, -2)[:, None]
-    by_torque = np.multiply.outer(parameters["torque_noise_n_m_s05"] ** 2, torque_s3)
-    return np.asarray(of_wheels + by_torque[:, :, None, None] * np.eye(3))
+    noise = ChannelNoise(
+        np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2),
+        parameters["attitude_noise_rad"] ** 2,
+        _white_variances(event, parameters, event.wheels, shares),
+        event.statistics.steps.wheel_rad_s**2 / 12.0 * shares,
+        parameters["torque_noise_n_m_s05"] ** 2,
+    )
+    gain, covariance = turn_covariances(
+        np.ascontiguousarray(physics.momentum_per_rate),
+        np.ascontiguousarray(physics.inertia_kg_m2),
+        np.ascontiguousarray(event.wheel_weights(physics)),
+        noise,
+        np.ascontiguousarray(np.broadcast_to(left_open, (len(left_open), len(event.turns), 3, 3))),
+        event.turn_sums,
+        np.asarray(torque_s3, dtype=np.float64),
+    )
+    return TurnNoise(gain, covariance)
 
 
 def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:

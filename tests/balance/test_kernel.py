@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance import kernel
-from cassini_bayes.balance.kernel import Entries, FastBands, Noise, Placed, SlowBands, Turns
+from cassini_bayes.balance.kernel import (
+    ChannelNoise,
+    Entries,
+    FastBands,
+    FlatRows,
+    Noise,
+    Placed,
+    SlowBands,
+    Turns,
+    TurnSums,
+    log_of_flat_rows,
+    turn_covariances,
+)
+from cassini_bayes.balance.rounded_wheels import HARMONICS
 from cassini_bayes.computing.arrays import Array
 
 
@@ -187,3 +200,66 @@ def test_own_unknowns_without_a_precision_have_no_density() -> None:
     assert found[-1][0] == -np.inf
     assert not found[3].any()
     assert np.isfinite(found[0]).all()
+
+
+def made_up_noise(rng: np.random.Generator, one: bool) -> tuple[Array, ...]:
+    """Momentum per rate, wheels' and noise of five points, the noise of one for all or of each."""
+    n, wheels, bands = 5, 2, 4
+    m = 1 if one else n
+    inertia = np.diag([3.0, 2.0, 1.0]) + 0.1 * rng.standard_normal((n, 3, 3))
+    own = 0.1 * rng.standard_normal((n, 3, wheels))
+    root = rng.standard_normal((m, bands, 3, 3))
+    left_open = 1e-4 * root @ np.swapaxes(root, -1, -2)
+    return inertia, own, left_open, rng.uniform(1.0, 2.0, m)
+
+
+@pytest.mark.parametrize("one", [True, False])
+def test_turns_have_the_gain_and_the_covariance_of_the_formula(one: bool) -> None:
+    """(1 + Q) I Σ_θ Iᵀ (1 + Q)ᵀ + D + Q D with Q = D A⁻¹ per summed rate, by matrices."""
+    rng = np.random.default_rng(3)
+    inertia, own, left_open, level = made_up_noise(rng, one)
+    m, bands = len(level), left_open.shape[1]
+    wheel, repeated = rng.uniform(1.0, 2.0, (m, 2)), rng.uniform(0.0, 0.1, (m, HARMONICS))
+    sums = TurnSums(rng.uniform(1.0, 9.0, bands), rng.uniform(0.0, 1.0, (bands, HARMONICS, 2)))
+    walked = rng.uniform(0.0, 2.0, bands)
+    noise = ChannelNoise(0.01 * level, 0.02 * level, wheel, repeated, 0.03 * level)
+    by_rate = 1.1 * inertia
+    gain, covariance = turn_covariances(by_rate, inertia, own, noise, left_open, sums, walked)
+    for i in range(len(inertia)):
+        p = 0 if one else i
+        for t in range(bands):
+            of_wheels = sums.summed_s2[t] * wheel[p] + repeated[p] @ sums.rounded_s2[t]
+            shared = own[i] @ np.diag(of_wheels) @ own[i].T + left_open[p, t]
+            shared += 0.03 * level[p] * walked[t] * np.eye(3)
+            gyro = sums.summed_s2[t] * 0.01 * level[p] * by_rate[i] @ by_rate[i].T
+            q = shared @ np.linalg.inv(gyro)
+            turn = 0.02 * level[p] * inertia[i] @ inertia[i].T
+            plain = (np.eye(3) + q) @ turn @ (np.eye(3) + q).T + shared + q @ shared
+            np.testing.assert_allclose(gain[i, t], q, rtol=1e-10, atol=1e-14)
+            np.testing.assert_allclose(covariance[i, t], plain, rtol=1e-10, atol=1e-14)
+
+
+@pytest.mark.parametrize("one", [True, False])
+def test_flat_rows_have_the_determinant_of_every_mode(one: bool) -> None:
+    """Slow bands mode by mode, the constant by eigenvalues, a fast one as often as it has rows."""
+    rng = np.random.default_rng(4)
+    inertia, own, left_open, level = made_up_noise(rng, one)
+    first, walk = np.array([0, 2, 5]), rng.uniform(0.1, 9.0, 5)
+    constant = rng.standard_normal(5)
+    flat = FlatRows(first, walk, constant, np.array([1]), np.array([7.0]), np.array([0.4]))
+    variance = rng.uniform(0.1, 0.2, (len(level), left_open.shape[1], 2))
+    white = 0.01 * inertia @ np.swapaxes(inertia, -1, -2)
+    found = log_of_flat_rows(white, left_open, own, variance, 0.03 * level, flat)
+    for i in range(len(inertia)):
+        p = 0 if one else i
+        noise = white[i] + left_open[p] + (own[i] * variance[p][:, None]) @ own[i].T
+        values = np.concatenate(
+            [
+                np.linalg.eigvalsh(noise[s]) + 0.03 * level[p] * walk[m]
+                for s in range(2)
+                for m in range(first[s], first[s + 1])
+            ]
+        ).reshape(5, 3)
+        plain = np.log(values).sum() + np.log((constant[:, None] ** 2 / values).sum(0)).sum()
+        fast = noise[3] + 0.03 * level[p] * 0.4 * np.eye(3)
+        assert found[i] == pytest.approx(plain + 7.0 * np.linalg.slogdet(fast)[1], rel=1e-12)
