@@ -43,7 +43,9 @@ def prior_slider(review: Review) -> Iterator[Section]:
     result = width_effects(
         review.priors, groups_of(review), parameter_draws(review), values, LEAST_EFFECT
     )
-    effects = sorted(result, key=lambda effect: -effect.size)
+    # of few draws no weights are trusted, not even those of the prior as it was
+    told = [effect for effect in result if effect.trusted.any()]
+    effects = sorted(told, key=lambda effect: -effect.size)
     if not effects:
         return
     yield Section(

@@ -54,6 +54,14 @@ def slider_in(section: Section) -> Slider:
     return next(block for block in section.blocks if isinstance(block, Slider))
 
 
+def test_so_few_draws_that_no_weights_are_trusted_have_no_slider(
+    review: Review, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even those of the prior as it was: nothing is shown, and nothing fails."""
+    monkeypatch.setattr("cassini_bayes.sweep.weights.FEWEST_DRAWS", 1e9)
+    assert list(prior_slider(review)) == []
+
+
 @pytest.mark.parametrize("width", [0.5, 2.0**0.5])
 def test_the_page_shows_the_posterior_that_the_package_weights(
     fitted: tuple[Factory, Fit], section: Section, width: float
