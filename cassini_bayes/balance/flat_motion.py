@@ -29,6 +29,7 @@ from cassini_bayes.balance.telemetry_noise import (
     couple_torques,
     covariance_beside_wheels,
     late_variances,
+    of_bands,
     open_counters,
     turn_noise,
 )
@@ -204,8 +205,7 @@ def _answered_rows(
     by_torque = reference["torque_noise_n_m_s05"] ** 2
     bands = len(event.slow)
     modes = np.repeat(np.arange(bands), [band.rows for band in event.slow])
-    walk = np.concatenate([band.walk for band in event.slow])
-    share = 1.0 - of_channels[modes] / (whole[modes] + np.outer(walk, by_torque))
+    share = 1.0 - of_channels[modes] / (whole[modes] + np.outer(event.flat_rows.walk, by_torque))
     result = (1.0 - event.constant**2) @ share
     for place, band in enumerate(event.fast, bands):
         if band.motion is None:
@@ -227,10 +227,9 @@ def _band_noise(
 def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array]) -> Array:
     """The part of the rows."""
     flat, left_open = event.flat_rows, event.nominally_open.rows
-    bands = len(event.slow) + len(event.fast)
     result = log_of_flat_rows(
         covariance_beside_wheels(event, physics, reference),
-        np.ascontiguousarray(np.broadcast_to(left_open, (len(left_open), bands, 3, 3))),
+        of_bands(left_open, len(event.slow) + len(event.fast)),
         np.ascontiguousarray(event.wheel_weights(physics)),
         band_wheel_variances(event, reference),
         reference["torque_noise_n_m_s05"] ** 2,

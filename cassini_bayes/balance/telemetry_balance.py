@@ -260,10 +260,9 @@ class TelemetryBalance:
         first = np.r_[0, np.cumsum(contrasts)]
         first = first[first <= self.products.slopes.shape[2]]
         products, columns = self.products, self.reduced.entered
-        modes = np.r_[0, np.cumsum([band.rows for band in self.slow])]
         slow = SlowBands(
             np.ascontiguousarray(products.slow[:, columns]),
-            modes,
+            self.flat_rows.first,
             np.concatenate([band.faster for band in self.slow]),
         )
         tables = [band.table for band in self.fast]
@@ -305,10 +304,9 @@ class TelemetryBalance:
     @cached_property
     def flat_rows(self) -> FlatRows:
         """The bands of rows in which wheels move by any amount."""
-        modes = np.r_[0, np.cumsum([band.rows for band in self.slow])]
         fast = [f for f, band in enumerate(self.fast) if band.motion is None]
         return FlatRows(
-            modes,
+            np.r_[0, np.cumsum([band.rows for band in self.slow])],
             np.concatenate([band.walk for band in self.slow]),
             self.constant,
             np.array(fast, dtype=np.int64),

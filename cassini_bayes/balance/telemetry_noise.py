@@ -169,11 +169,16 @@ def turn_noise(
         np.ascontiguousarray(physics.inertia_kg_m2),
         np.ascontiguousarray(event.wheel_weights(physics)),
         noise,
-        np.ascontiguousarray(np.broadcast_to(left_open, (len(left_open), len(event.turns), 3, 3))),
+        of_bands(left_open, len(event.turns)),
         event.turn_sums,
         np.asarray(torque_s3, dtype=np.float64),
     )
     return TurnNoise(gain, covariance)
+
+
+def of_bands(left_open: Array, count: int) -> Array:
+    """What is left open of so many bands (n, B, 3, 3) for compiled code; one may stand for all."""
+    return np.ascontiguousarray(np.broadcast_to(left_open, (len(left_open), count, 3, 3)))
 
 
 def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:

@@ -41,25 +41,29 @@ class _OtherFailedError(Exception):
 @contextmanager
 def in_parts(log_density: LogDensity, threads: int) -> Iterator[LogDensity]:
     """The log density with batches (n, d) cut into parts of :data:`PART` points, on threads."""
-    if threads < 2:
-        yield partial(_over_parts, None, log_density)
-        return
-    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
+    with _likelihood_threads(threads) as pool:
         yield partial(_over_parts, pool, log_density)
 
 
 @contextmanager
 def spare_threads(threads: int) -> Iterator[None]:
     """Threads for :func:`over_parts` while one piece of work is all there is."""
-    if threads < 2:
-        yield
-        return
-    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
+    with _likelihood_threads(threads) as pool:
         before = _spare.set(pool)
         try:
             yield
         finally:
             _spare.reset(before)
+
+
+@contextmanager
+def _likelihood_threads(threads: int) -> Iterator[ThreadPoolExecutor | None]:
+    """Threads whose linear algebra has one each; None for fewer than two."""
+    if threads < 2:
+        yield None
+        return
+    with one_thread(), ThreadPoolExecutor(threads, "likelihood") as pool:
+        yield pool
 
 
 def over_parts(log_density: LogDensity, z: Array) -> Array:

@@ -58,7 +58,7 @@ class Diagnosis(Generic[H]):
 
     ``extended`` is the model to go on with, ``widths`` has the probabilities of all hypotheses with
     the effects' priors that much wider. ``curves`` are those of what nothing explains, ``drafts``
-    the effects proposed where ``unknown`` is best.
+    the effects proposed where ``unknown`` is best, or where a cause leaves something.
     """
 
     case: Case[H]
