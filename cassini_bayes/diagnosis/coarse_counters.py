@@ -1,31 +1,39 @@
-"""What a cause gains where every rounding of a counter has a column of its own.
+"""What causes and a torque gain where every rounding of a counter has a column of its own.
 
 What coarse counters leave open is noise of bands in the likelihood, a draw of its own in every
 contrast. It comes from few levels where rows are long without firing, so that a cause that changes
-pulses may win by them alone (docs/topics/telemetry-likelihood.md §11). In the linear model of rows
-and turns every rounding has a column. With r what a cause leaves at its mode, d what it adds there
-at its size, and V of all nuisances and roundings, it gains
+pulses, or a torque that wanders, may win by them alone (docs/topics/telemetry-likelihood.md §11).
+In the linear model of rows and turns every rounding has a column. With r what a cause leaves at its
+mode, d what it adds there at its size, and V of all nuisances and roundings, it gains
 
     ½ (r + d)ᵀ V⁻¹ (r + d) − ½ rᵀ V⁻¹ r − ½ |z|²  =  dᵀ V⁻¹ r + ½ dᵀ V⁻¹ d − ½ |z|²
 
-over the baseline, z the standard values of its size. Where the likelihood says more than that, the
-lesser counts. Causes of inertia, wheels and gyro are left out: what they add is made of the
-channels, whose noise is smoothed in the linear model.
+over the baseline, z the standard values of its size. Torque noise of density a has a column for
+each of its cosines, of variance a², and gains the log of ∫ p(a) exp Δ(a) da beside the baseline's
+mode (:func:`cassini_bayes.balance.linearised.change_of_evidence`), p the prior of ``unknown``.
+Where the likelihood says more than that, the lesser counts. Causes of inertia, wheels and gyro are
+left out: what they add is made of the channels, whose noise is smoothed in the linear model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
+from scipy.special import logsumexp
 
+from cassini_bayes.balance.linearised import change_of_evidence, diagonal
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import effect_momentum, examined, left_by
 from cassini_bayes.diagnosis.modes import LOG_2_PI
-from cassini_bayes.diagnosis.rows_and_turns import BesideMode
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, torque_noise
+from cassini_bayes.priors.distributions import Distribution
+
+NODES: Final = np.linspace(-4.0, 4.0, 33)  # standard normals, of the prior of torque noise
 
 
 def has_coarse_counters(hypothesis: Hypothesis) -> bool:
@@ -61,6 +69,38 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     told = beside.information(effect_momentum(none, point[:d], [(hypothesis, point[None, d:])]))
     gained = told.vector[0] + 0.5 * told.matrix[0, 0]
     return float(gained - 0.5 * point[d:] @ point[d:])
+
+
+def gain_by_wander(none: Weighed[Hypothesis], believed: Distribution) -> float:
+    """Log evidence (nats) that torque noise gains in the linear model at the baseline's mode.
+
+    ``believed`` is the prior of its density, N m s^½.
+    """
+    hypothesis, point = none.hypothesis, none.mode.point
+    walks = []
+    for term in hypothesis.model.telemetry:
+        columns, variance = torque_noise(term.balance, term.event.usable_rows, 1.0)
+        walks.append(columns * np.sqrt(variance))
+    told = BesideMode.of(hypothesis, point, left_by(none)).information(side_by_side(walks))
+    changes = change_of_evidence(
+        *diagonal(told.matrix, told.vector), believed.quantile_of_standard(NODES)
+    )
+    weights = -0.5 * NODES**2
+    return float(logsumexp(changes + weights) - logsumexp(weights))
+
+
+def with_wander_by_levels(
+    unknown: Weighed[Hypothesis], none: Weighed[Hypothesis], believed: Distribution
+) -> Weighed[Hypothesis]:
+    """``unknown``, a torque that wanders; ahead of ``none`` it has the lesser of both gains.
+
+    With totals rows beside telemetry it stays as it is: what it says of these has no linear model.
+    """
+    by_bands = unknown.net_evidence - none.net_evidence
+    model = none.hypothesis.model
+    if by_bands <= 0.0 or model.totals or not has_coarse_counters(none.hypothesis):
+        return unknown
+    return replace(unknown, withheld=max(by_bands - gain_by_wander(none, believed), 0.0))
 
 
 def with_levels(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothesis]]:

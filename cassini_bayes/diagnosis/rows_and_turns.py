@@ -89,6 +89,18 @@ class BesideMode:
         return information(self.linear, self.target, columns, groups=[*range(len(self.rows))] * 2)
 
 
+def side_by_side(apart: Sequence[Array], common: Sequence[Array] = ()) -> list[Array]:
+    """Columns (n, 3, q) of every event: those of each event by itself, then common ones."""
+    width, first, result = sum(own.shape[2] for own in apart), 0, []
+    for own, shared in zip(apart, common or [own[:, :, :0] for own in apart], strict=True):
+        whole = np.zeros((len(own), 3, width + shared.shape[2]))
+        whole[:, :, first : first + own.shape[2]] = own
+        whole[:, :, width:] = shared
+        first += own.shape[2]
+        result.append(whole)
+    return result
+
+
 def with_turns(
     hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[EventRows]
 ) -> tuple[Linear, tuple[EventRows, ...]]:
@@ -117,9 +129,9 @@ def joined(
     located = hypothesis.model.points(z[None])
     terms = [(term.balance, term.physics(located)) for term in hypothesis.model.telemetry]
     usable = [term.event.usable_rows for term in hypothesis.model.telemetry]
+    density = float(located.parameters["torque_noise_n_m_s05"][0])
     walks = [
-        _torque_noise(balance, own, located.parameters)
-        for (balance, _), own in zip(terms, usable, strict=True)
+        torque_noise(balance, own, density) for (balance, _), own in zip(terms, usable, strict=True)
     ]
     linear = with_unknowns(linear, walks, [event.noise_factor for event in rows])
     targets, columns, turned = [linear.target], [linear.columns], []
@@ -150,11 +162,11 @@ def _innovations(event: EventRows, white: Array) -> EventRows:
     return replace(event, white=white, residual_n_m_s=white @ event.noise_factor.T)
 
 
-def _torque_noise(
-    balance: TelemetryBalance, rows: Rows, parameters: Mapping[str, Array]
-) -> tuple[Array, Array]:
-    """Columns (n, 3, 3 M) of the slowest cosines of torque noise, and variances of their sizes."""
-    density = float(parameters["torque_noise_n_m_s05"][0])
+def torque_noise(balance: TelemetryBalance, rows: Rows, density: float) -> tuple[Array, Array]:
+    """Columns (n, 3, 3 M) of the slowest cosines of torque noise, and variances of their sizes.
+
+    ``density`` is in N m s^½.
+    """
     duration, layout = balance.statistics.duration_s, balance.statistics.layout
     count = min(math.ceil(duration / HALF_PERIOD_S), MOST_COSINES) if density > 0.0 else 0
     since_start = rows.vector[:, :, layout.initial]

@@ -35,7 +35,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import examined, left_by, thrust_columns
-from cassini_bayes.diagnosis.rows_and_turns import BesideMode
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side
 from cassini_bayes.effects.registry import Unknown
 
 TORQUE: Final = "torque"
@@ -81,7 +81,7 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         else:
             own = np.zeros((len(event.time_s), 3, 0))
         lever.append(_of_all(own, event.thrusters, names))
-    told = BesideMode.of(hypothesis, point, left).information(_side_by_side(drift, lever))
+    told = BesideMode.of(hypothesis, point, left).information(side_by_side(drift, lever))
     count = sum(own.shape[2] for own in drift)
     return {
         DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
@@ -117,18 +117,6 @@ def _of_all(own: Array, thrusters: Sequence[str], names: Sequence[str]) -> Array
     places = [names.index(name) for name in thrusters]
     result[:, :, places] = own.reshape(len(own), 3, -1, 3)
     return result.reshape(len(own), 3, -1)
-
-
-def _side_by_side(apart: Sequence[Array], common: Sequence[Array]) -> list[Array]:
-    """Columns (n, 3, q) of every event: those of each event by itself, then common ones."""
-    width, first, result = sum(own.shape[2] for own in apart), 0, []
-    for own, shared in zip(apart, common, strict=True):
-        whole = np.zeros((len(own), 3, width + shared.shape[2]))
-        whole[:, :, first : first + own.shape[2]] = own
-        whole[:, :, width:] = shared
-        first += own.shape[2]
-        result.append(whole)
-    return result
 
 
 def _summed(told: Information, which: slice, bounds: tuple[float, float]) -> float:

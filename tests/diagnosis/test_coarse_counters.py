@@ -9,31 +9,48 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cassini_bayes.computing.log import silent
+from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.coarse_counters import (
     acts_on_pulses,
     gain_by_levels,
+    gain_by_wander,
     has_coarse_counters,
     with_levels,
+    with_wander_by_levels,
 )
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
-from cassini_bayes.diagnosis.modes import LOG_2_PI, highest_mode
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    unknown_hypothesis,
+)
+from cassini_bayes.diagnosis.modes import LOG_2_PI, find_mode, highest_mode
 from cassini_bayes.diagnosis.search import search_from_starts, with_whole_curvature
 from cassini_bayes.studies.blind.flights import Blind, Hidden
 from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
-pytestmark = pytest.mark.usefixtures("usual_drive")
-
 ROOT = Path(__file__).parents[2]
 SEED, TRIAL = 20263603, 97  # one bias, counters of 10 ms, adapted widths, rates ten times finer
+# The same and heavier thrusters' firings, some hundred in fifteen minutes; one bias of its six.
+FEW_LEVELS = 20263908, 1105
+
+usual_drive = pytest.mark.usefixtures("usual_drive")
+
+
+def over_conditions(seed: int) -> Blind:
+    """A campaign over conditions."""
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    return Blind(scenario, ROOT / "priors", seed, (), OVER_CONDITIONS, over_conditions=True)
 
 
 @cache
 def flown(*hidden: str) -> tuple[Events, Weighed[Hypothesis]]:
     """That flight, with a thruster at half its thrust or nothing hidden, and its baseline."""
-    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
-    campaign = Blind(scenario, ROOT / "priors", SEED, (), OVER_CONDITIONS, over_conditions=True)
+    campaign = over_conditions(SEED)
     effects = [Hidden(name, {"thrust_factor": 0.5}, float("nan")) for name in hidden]
     events = campaign.scene(campaign.stream(TRIAL)).fly(effects)
     none = compact(none_hypothesis(events))
@@ -55,6 +72,7 @@ def by_bands(none: Weighed[Hypothesis], cause: Weighed[Hypothesis]) -> float:
     return cause.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
 
 
+@usual_drive
 def test_what_roundings_make_up_is_no_cause() -> None:
     """Nothing hidden, and longer pulses lead by 29 nats: by levels they are worse than none."""
     _, none = flown()
@@ -69,6 +87,7 @@ def test_what_roundings_make_up_is_no_cause() -> None:
     )
 
 
+@usual_drive
 def test_a_cause_that_is_there_keeps_what_it_gains() -> None:
     """A thruster at half its thrust gains as much and more by levels, and stays as it is."""
     name = "thruster_degraded:y2"
@@ -81,6 +100,7 @@ def test_a_cause_that_is_there_keeps_what_it_gains() -> None:
     )
 
 
+@usual_drive
 def test_causes_of_the_channels_are_left_as_they_are() -> None:
     """An inertia is no matter of pulses, and counters of 1 ms are none of this module."""
     _, none = flown()
@@ -91,9 +111,67 @@ def test_causes_of_the_channels_are_left_as_they_are() -> None:
     assert has_coarse_counters(none.hypothesis)
 
 
+@usual_drive
 def test_a_thruster_acts_on_pulses() -> None:
     """Body, wheels and gyro stay as they are."""
     _, none = flown()
     cause = weighed("thruster_misalignment:y2")
     point = cause.mode.point + 0.1 * np.eye(len(cause.mode.point))[-1]
     assert acts_on_pulses(none.hypothesis, cause.hypothesis, point)
+
+
+@cache
+def wandering(torque_noise: float) -> tuple[Events, Weighed[Hypothesis], Weighed[Hypothesis]]:
+    """A bias with few levels, its torque wandering by so much (N m s^½); ``none``, ``unknown``."""
+    seed, trial = FEW_LEVELS
+    campaign = over_conditions(seed)
+    scene = campaign.scene(campaign.stream(trial))
+    document = {
+        **scene.document,
+        "event": scene.document["event"][:1],
+        "torque_noise": torque_noise > 0.0,
+        "truth": {**scene.document["truth"], "torque_noise_n_m_s05": torque_noise},
+    }
+    events = replace(scene, document=document).fly(())
+    none, unknown = (compact(make(events)) for make in (none_hypothesis, unknown_hypothesis))
+    mode = highest_mode(none.log_density, none.model.starts)
+    other = find_mode(unknown.log_density, unknown.dimension, np.zeros(unknown.dimension))
+    return events, *(Weighed(h, at, at.log_evidence) for h, at in ((none, mode), (unknown, other)))
+
+
+def test_what_few_roundings_make_up_is_no_torque_that_wanders() -> None:
+    """Nothing hidden, and ``unknown`` leads by 25 nats: by levels it gains next to nothing."""
+    events, none, unknown = wandering(0.0)
+    believed = events.catalogue.unknown.torque_noise
+    assert unknown.net_evidence - none.net_evidence > 20.0
+    gained = gain_by_wander(none, believed)
+    assert gained < 2.0
+    after = with_wander_by_levels(unknown, none, believed)
+    assert after.net_evidence == pytest.approx(none.net_evidence + gained)
+
+
+def test_a_torque_that_wanders_keeps_what_it_gains() -> None:
+    """Flown with torque noise of three times that: both reckonings have it, and it leads."""
+    events, none, unknown = wandering(3e-3)
+    believed = events.catalogue.unknown.torque_noise
+    by_bands = unknown.net_evidence - none.net_evidence
+    assert by_bands > 20.0
+    assert gain_by_wander(none, believed) > 20.0
+    after = with_wander_by_levels(unknown, none, believed)
+    assert none.net_evidence + 20.0 < after.net_evidence <= unknown.net_evidence
+
+
+def test_unknown_behind_none_is_left_as_it_is() -> None:
+    """As in most flights: there is nothing to take off."""
+    events, none, unknown = wandering(0.0)
+    behind = replace(unknown, log_evidence=none.log_evidence - 1.0)
+    believed = events.catalogue.unknown.torque_noise
+    assert with_wander_by_levels(behind, none, believed) is behind
+
+
+def test_a_diagnosis_does_not_say_unknown_for_few_roundings() -> None:
+    """The whole diagnosis of that flight has ``none`` first."""
+    events, *_ = wandering(0.0)
+    case = BalanceCase(events)
+    ranked = case.weigh(np.random.default_rng(1), silent)
+    assert max(ranked, key=lambda own: own.score).name == "none"
