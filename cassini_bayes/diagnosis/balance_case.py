@@ -16,6 +16,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import (
+    UNKNOWN,
     Case,
     Discrepancies,
     Fits,
@@ -24,7 +25,6 @@ from cassini_bayes.diagnosis.case import (
     Weighed,
     Work,
 )
-from cassini_bayes.diagnosis.coarse_counters import with_levels, with_wander_by_levels
 from cassini_bayes.diagnosis.correlations import InnovationTests, innovation_tests, strongest
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
 from cassini_bayes.diagnosis.drafts import Draft, drafted
@@ -55,6 +55,7 @@ from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
+from cassini_bayes.diagnosis.second_reckoning import leads, reckoned_again, unknown_again
 from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
@@ -177,12 +178,12 @@ class BalanceCase(Case[Hypothesis]):
             if higher is not None:
                 gained = higher.log_evidence - base.log_evidence
                 log(f"none: {gained:+.1f} nats beside the mode of unknown: searched again from it")
-        of_none = replace(by_laplace(none, base), remainder=remainder)
-        believed = events.catalogue.unknown.torque_noise
-        of_unknown = with_wander_by_levels(by_laplace(unknown, unknown_mode), of_none, believed)
-        least = of_unknown.net_evidence
-        log(f"unknown: {least - base.log_evidence:+.1f} nats")
-        weighed, floor = [of_none, of_unknown], least - MARGIN_NATS
+        log(f"unknown: {unknown_mode.log_evidence - base.log_evidence:+.1f} nats")
+        weighed = [
+            replace(by_laplace(none, base), remainder=remainder),
+            by_laplace(unknown, unknown_mode),
+        ]
+        floor = unknown_mode.log_evidence - MARGIN_NATS
         causes = weigh_extensions(hypotheses, near, base, log, workers, floor)
         gained = max((c.log_evidence for c in causes), default=floor) - base.log_evidence
         further = [compact(extend(full, [effect])) for effect in beginnings.missed(gained)]
@@ -190,22 +191,27 @@ class BalanceCase(Case[Hypothesis]):
             what = "searches for further beginnings"
             _, near = _side_by_side((), (), further, base, what, workers)
             causes += weigh_extensions(further, near, base, log, workers, floor)
-        if causes and _is_far_from_prior(base.point) and not _is_explained(causes, least):
+        if causes and _is_far_from_prior(base.point) and not _is_explained(causes, unknown_mode):
             log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
                 "best first"
             )
             gains = gains_about(full, np.zeros(len(base.point)), causes, events)
-            causes = _from_centre(causes, gains, least, workers)
+            causes = _from_centre(causes, gains, unknown_mode, workers)
         weighed += _beside_best_beginning(causes, workers)
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
-                best = max(w.net_evidence for w in weighed)
+                best = max(w.log_evidence for w in weighed)
                 result = replace(effect, search_result=settled)
                 weighed.append(self._settled(result, (), base, best, workers))
+        believed, seen = events.catalogue.unknown.torque_noise, set[str]()
+        if leads(weighed) == UNKNOWN:  # before draws, which are for what is near the best
+            weighed[1] = unknown_again(weighed[1], weighed[0], believed)
+            seen.add(UNKNOWN)
         sampled = _sampled_near_best(weighed, rng, workers)
         summed = beginnings.summed(sampled, sampled[0].net_evidence)
-        return with_thruster_forms(with_levels(summed), events.catalogue.unknown)
+        again = reckoned_again(summed, believed, seen)
+        return with_thruster_forms(again, events.catalogue.unknown)
 
     def _settled(
         self,
@@ -514,24 +520,24 @@ def _is_far_from_prior(point: Array) -> bool:
     return bool(np.abs(point).max() > FAR_FROM_PRIOR)
 
 
-def _is_explained(causes: Sequence[Candidate], least: float) -> bool:
-    """Whether the best cause has more evidence than ``least``, that of ``unknown``.
+def _is_explained(causes: Sequence[Candidate], unknown: Mode) -> bool:
+    """Whether the best cause beats ``unknown`` and leaves the baseline's parameters near theirs.
 
-    It has to leave the baseline's parameters near theirs; how large it is itself does not matter.
+    How large the cause itself is does not matter.
     """
     best = max(causes, key=lambda cause: cause.log_evidence)
     beside = best.mode.point[: best.hypothesis.sizes.start]
-    return best.log_evidence > least and not _is_far_from_prior(beside)
+    return best.log_evidence > unknown.log_evidence and not _is_far_from_prior(beside)
 
 
 def _from_centre(
-    causes: Sequence[Candidate], gains: Sequence[float], to_beat: float, workers: StageRunner
+    causes: Sequence[Candidate], gains: Sequence[float], unknown: Mode, workers: StageRunner
 ) -> list[Candidate]:
     """Causes searched from the centre of the prior, the best first, until one mends the baseline.
 
-    ``gains`` are those of their linear models about the centre (nats), ``to_beat`` is the evidence
-    of ``unknown``. Causes go in parts of at most :data:`TOGETHER` that gain nearly alike, so that
-    what the data cannot tell apart is searched alike.
+    ``gains`` are those of their linear models about the centre (nats). Causes go in parts of at
+    most :data:`TOGETHER` that gain nearly alike, so that what the data cannot tell apart is
+    searched alike.
     """
     candidates = list(causes)
     order = sorted(range(len(candidates)), key=lambda i: -gains[i])[:MOST_FROM_CENTRE]
@@ -544,7 +550,7 @@ def _from_centre(
         for i, mode in zip(part, modes, strict=True):
             if mode is not None:
                 candidates[i] = by_laplace(causes[i].hypothesis, mode)
-        if _is_explained(candidates, to_beat):
+        if _is_explained(candidates, unknown):
             break
     return candidates
 

@@ -83,7 +83,7 @@ class Weighed(Generic[H]):
     ``beginnings``: it stands here as it begins most likely, and the sum over all of them, with
     their prior probabilities, adds ``summed`` (nats) to its log evidence. So do further forms of
     ``unknown``: ``forms`` are their names with their shares of its evidence, the first the one that
-    stands here. ``withheld`` (nats) is what coarse counters take off (:mod:`.coarse_counters`).
+    stands here. ``withheld`` (nats) is what another reckoning takes off (:mod:`.second_reckoning`).
     """
 
     hypothesis: H
@@ -141,7 +141,7 @@ class Weighed(Generic[H]):
 
     @property
     def net_evidence(self) -> float:
-        """That over all beginnings and forms, less what coarse counters take off."""
+        """That over all beginnings and forms, less what a second reckoning takes off."""
         return self.own_evidence + self.summed - self.withheld
 
     @property

@@ -1,0 +1,154 @@
+"""A second reckoning of what is ahead of the baseline, with a column for all that counters hide.
+
+What counters leave open is noise of bands in the likelihood, a draw of its own in every contrast.
+It comes from few levels and steps where rows are long without firing, so that a cause that changes
+pulses, or a torque that wanders, may win by them alone (docs/topics/telemetry-likelihood.md §11).
+In the linear model of rows and turns every rounding and every tail has a column, as it has in the
+p-value. With r what a cause leaves at its mode, d what it adds there at its size, and V of all
+nuisances, it gains
+
+    ½ (r + d)ᵀ V⁻¹ (r + d) − ½ rᵀ V⁻¹ r − ½ |z|²  =  dᵀ V⁻¹ r + ½ dᵀ V⁻¹ d − ½ |z|²
+
+over the baseline, z the standard values of its size. Torque noise of density a has a column for
+each of its cosines, of variance a², and gains the log of ∫ p(a) exp Δ(a) da
+(:func:`cassini_bayes.balance.linearised.change_of_evidence`), p the prior of ``unknown``. It is
+taken beside the baseline's mode and beside that of ``unknown``, and the larger one counts: a
+baseline that bent may have taken up what is there. Where the likelihood says more than that, the
+lesser counts.
+
+``unknown`` is reckoned again with any counters. Of causes it is those of pulses where counters have
+coarse steps: what inertia, wheels and gyro add is made of the channels, whose noise is smoothed in
+the linear model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from scipy.special import logsumexp
+
+from cassini_bayes.balance.linearised import change_of_evidence, diagonal
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.innovations import (
+    effect_momentum,
+    examined,
+    innovations,
+    left_by,
+)
+from cassini_bayes.diagnosis.modes import LOG_2_PI
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, torque_noise
+from cassini_bayes.priors.distributions import Distribution
+
+NODES: Final = np.linspace(-4.0, 4.0, 33)  # standard normals, of the prior of torque noise
+
+
+def has_coarse_counters(hypothesis: Hypothesis) -> bool:
+    """Whether some event has counters in coarse steps, and any width of pulses."""
+    return any(term.balance.statistics.counters.are_coarse for term in hypothesis.model.telemetry)
+
+
+def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
+    """Whether a cause leaves body, wheels and gyro as they are at a point (d,) of its model.
+
+    One that a search has settled has columns of its own, and is no such cause; nor is any where all
+    counters have fine steps.
+    """
+    if not has_coarse_counters(cause):
+        return False
+    if any(effect.search_result is not None for effect in cause.effects):
+        return False
+    before = none.model.points(point[None, : none.dimension])
+    after = cause.model.points(point[None])
+    return all(
+        np.allclose(own.momentum_per_rate, other.momentum_per_rate)
+        and np.allclose(own.wheel_weights, other.wheel_weights)
+        and np.allclose(own.rate_bias_rad_s, other.rate_bias_rad_s)
+        for own, other in (
+            (a.physics(before), b.physics(after))
+            for a, b in zip(none.model.telemetry, cause.model.telemetry, strict=True)
+        )
+    )
+
+
+def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
+    """Log density (nats) that a cause gains over the baseline in the linear model at its mode."""
+    hypothesis, point = cause.hypothesis, cause.mode.point
+    d = none.dimension
+    beside = BesideMode.of(hypothesis, point, left_by(cause), walked=d)
+    told = beside.information(effect_momentum(none, point[:d], [(hypothesis, point[None, d:])]))
+    gained = told.vector[0] + 0.5 * told.matrix[0, 0]
+    return float(gained - 0.5 * point[d:] @ point[d:])
+
+
+def gain_by_wander(hypothesis: Hypothesis, point: Array, believed: Distribution) -> float:
+    """Log evidence (nats) that torque noise gains beside the baseline, linear about a point (d,).
+
+    ``believed`` is the prior of its density, N m s^½.
+    """
+    walks = []
+    for term in hypothesis.model.telemetry:
+        columns, variance = torque_noise(term.balance, term.event.usable_rows, 1.0)
+        walks.append(columns * np.sqrt(variance))
+    left = innovations(hypothesis, point)
+    told = BesideMode.of(hypothesis, point, left).information(side_by_side(walks))
+    densities = believed.quantile_of_standard(NODES)
+    changes = change_of_evidence(*diagonal(told.matrix, told.vector), densities)
+    weights = -0.5 * NODES**2
+    return float(logsumexp(changes + weights) - logsumexp(weights))
+
+
+def unknown_again(
+    unknown: Weighed[Hypothesis], none: Weighed[Hypothesis], believed: Distribution
+) -> Weighed[Hypothesis]:
+    """``unknown``, a torque that wanders, with the lesser of both gains over ``none``.
+
+    With totals rows beside telemetry, or without telemetry, it stays as it is: what it says of
+    these has no linear model.
+    """
+    model = none.hypothesis.model
+    if model.totals or not model.telemetry:
+        return unknown
+    at = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
+    beside = np.array([at[name] for name in model.space.names])
+    by_bands = unknown.own_evidence - none.net_evidence
+    gained = max(
+        gain_by_wander(none.hypothesis, point, believed) for point in (none.mode.point, beside)
+    )
+    return replace(unknown, withheld=max(by_bands - gained, 0.0))
+
+
+def leads(weighed: Sequence[Weighed[Hypothesis]]) -> str:
+    """Name of the most probable hypothesis."""
+    return max(weighed, key=lambda own: own.score).name
+
+
+def reckoned_again(
+    weighed: Sequence[Weighed[Hypothesis]], believed: Distribution, seen: Set[str] = frozenset()
+) -> list[Weighed[Hypothesis]]:
+    """Everything weighed; what is ahead of ``none`` has the lesser of both gains.
+
+    From the most probable on, until one of them that was looked at stays ahead, or has no second
+    reckoning. ``seen`` are those that were looked at before.
+    """
+    result, known = list(weighed), {*seen}
+    none = next(w for w in result if w.name == NONE)
+    while (name := leads(result)) != NONE and name not in known:
+        known.add(name)
+        best = max(result, key=lambda own: own.score)
+        if name == UNKNOWN:
+            changed = unknown_again(best, none, believed)
+        elif acts_on_pulses(none.hypothesis, best.hypothesis, best.mode.point):
+            looked_at = examined(best)
+            extra = len(best.mode.point) - none.hypothesis.dimension
+            by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
+            withheld = by_bands - gain_by_levels(none.hypothesis, looked_at)
+            changed = replace(looked_at, withheld=max(withheld, 0.0))
+        else:
+            break
+        result = [changed if own is best else own for own in result]
+    return result
