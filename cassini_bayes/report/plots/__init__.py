@@ -114,6 +114,9 @@ def settle(figure: Figure, solutions: int = 2) -> None:
     if engine is not None:
         for axes in figure.axes:
             axes.tick_params(labelsize=STYLE["xtick.labelsize"])
+            for axis in (axes.xaxis, axes.yaxis):
+                if not axis.get_label_text():
+                    axis.set_label_coords(0.0, 0.0)  # else it is placed anew beside the ticks
         with matplotlib.rc_context(dict(STYLE) | dict(_NO_LAYOUT)):
             for _ in range(solutions):
                 engine.execute(figure)

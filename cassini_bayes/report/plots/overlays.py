@@ -123,8 +123,9 @@ def spectrum_figure(spectra: Sequence[Spectrum]) -> Figure | None:
                     beside = {"xytext": (4, 2), "textcoords": "offset points"}
                     place, look = (at, power[spectrum.peak]), {"fontsize": 8, "color": PRIOR_LINE}
                     panel.annotate(f"{at:.3g} Hz", place, **beside, **look)
-                label_powers(panel.xaxis)
-                label_powers(panel.yaxis)
+                for axis in (panel.xaxis, panel.yaxis):
+                    label_powers(axis)
+                    axis.minorticks_off()  # hundreds of them, in panels of five centimetres
     return figure
 
 
