@@ -42,6 +42,7 @@ from cassini_bayes.diagnosis.innovations import (
 )
 from cassini_bayes.diagnosis.modes import LOG_2_PI
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, torque_noise
+from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.priors.distributions import Distribution
 
 NODES: Final = np.linspace(-4.0, 4.0, 33)  # standard normals, of the prior of torque noise
@@ -85,16 +86,18 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     return float(gained - 0.5 * point[d:] @ point[d:])
 
 
-def gain_by_wander(hypothesis: Hypothesis, point: Array, believed: Distribution) -> float:
+def gain_by_wander(
+    hypothesis: Hypothesis, point: Array, left: Remainder, believed: Distribution
+) -> float:
     """Log evidence (nats) that torque noise gains beside the baseline, linear about a point (d,).
 
-    ``believed`` is the prior of its density, N m s^½.
+    ``left`` is what the baseline leaves there, ``believed`` the prior of the density of torque
+    noise, N m s^½.
     """
     walks = []
     for term in hypothesis.model.telemetry:
         columns, variance = torque_noise(term.balance, term.event.usable_rows, 1.0)
         walks.append(columns * np.sqrt(variance))
-    left = innovations(hypothesis, point)
     told = BesideMode.of(hypothesis, point, left).information(side_by_side(walks))
     densities = believed.quantile_of_standard(NODES)
     changes = change_of_evidence(*diagonal(told.matrix, told.vector), densities)
@@ -113,12 +116,12 @@ def unknown_again(
     model = none.hypothesis.model
     if model.totals or not model.telemetry:
         return unknown
-    at = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
-    beside = np.array([at[name] for name in model.space.names])
+    named = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
+    beside = np.array([named[name] for name in model.space.names])
     by_bands = unknown.own_evidence - none.net_evidence
-    gained = max(
-        gain_by_wander(none.hypothesis, point, believed) for point in (none.mode.point, beside)
-    )
+    baseline = none.hypothesis
+    about = [(none.mode.point, left_by(none)), (beside, innovations(baseline, beside))]
+    gained = max(gain_by_wander(baseline, at, left, believed) for at, left in about)
     return replace(unknown, withheld=max(by_bands - gained, 0.0))
 
 
