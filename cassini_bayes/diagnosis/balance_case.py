@@ -91,6 +91,9 @@ models there, a leak of 50 standard deviations came first (docs/topics/criticism
 HOPED_NATS: Final = 10.0
 """By which what a search found may be short of its evidence: judgement, its score is that of a
 linear model about one point, and the fit moves on."""
+SHORT_NATS: Final = 5.0
+"""By which a second cause may gain more than its linear model beside the first says: 2.2 at most in
+97 pairs of two diagnoses, 0.9 in all but four."""
 HIGHER_NATS: Final = 0.5
 """By which another mode must be better: judgement, Laplace's evidence is good to 0.1, and all
 searches begin again."""
@@ -261,7 +264,8 @@ class BalanceCase(Case[Hypothesis]):
         direct = [e for e in others if not e.needs_search]
         remainder = left_by(first) if events.telemetry else None
         beginnings = Beginnings.of(full, base.point, remainder, direct, events)
-        pairs = [compact(extend(full, [e])) for e in beginnings.likely()]
+        seconds = beginnings.likely(SECOND_CAUSE_NATS - SHORT_NATS)
+        pairs = [compact(extend(full, [e])) for e in seconds]
         to_find = []
         if remainder is not None and any(e.needs_search for e in others):
             to_find = [(e, work) for e, work in _to_find(events, remainder) if e in others]

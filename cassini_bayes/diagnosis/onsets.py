@@ -127,11 +127,16 @@ class Beginnings:
         gains, factors = (np.where(told, own, 0.0) for own in (self.gains, self.factors))
         return replace(self, gains=gains, factors=factors)
 
-    def likely(self) -> list[Effect]:
-        """Every cause throughout, and from such events on as may come near the best."""
-        first = [self._from(c, 0) for c in range(len(self.effects))]
-        later = self._later(self._due(float(self.gains.max(initial=0.0))))
-        return [*first, *self.throughout, *later]
+    def likely(self, least: float = -np.inf) -> list[Effect]:
+        """Causes throughout, and from such events on as may come near the best.
+
+        Those whose log Bayes factor is below ``least`` throughout are left out, unless a later
+        beginning is among these.
+        """
+        due = self._due(float(self.gains.max(initial=0.0)))
+        kept = {c for c, _ in due} | {*np.flatnonzero(self.factors[:, 0] >= least).tolist()}
+        first = [self._from(c, 0) for c in sorted(kept)]
+        return [*first, *self.throughout, *self._later(due)]
 
     def missed(self, gained: float) -> list[Effect]:
         """Further ones, where the best has gained less than its linear model says (nats)."""

@@ -249,6 +249,17 @@ def test_only_what_can_matter_is_searched() -> None:
     assert (further.name, further.onset.event) == (effects[0].name, "c")
 
 
+def test_what_gains_too_little_throughout_is_left_out_where_that_is_asked() -> None:
+    """By its log Bayes factor, unless a later beginning is searched; control: all by default."""
+    effects = tuple(prepare((), TOTALS_PRIORS, three()).catalogue.effects[:3])
+    gains = np.array([[1.0, 0.0], [1.0, 9.0], [3.0, 0.0]])
+    factors = np.array([[-2.0, 0.0], [-2.0, 7.0], [1.0, 0.0]])
+    beginnings = Beginnings(effects, ("a", "b"), Odds(0.5, 0.45, 0.05, 0.5), gains, factors)
+    throughout = [e.name for e in beginnings.likely(-1.0) if e.onset is None]
+    assert throughout == [effects[1].name, effects[2].name]
+    assert [e.name for e in beginnings.likely() if e.onset is None] == [e.name for e in effects]
+
+
 def test_what_a_rotor_weighs_does_not_change_between_events() -> None:
     """`wheel_inertia` is looked for throughout alone, by its whole prior; control: a thrust."""
     catalogue = prepare((), TOTALS_PRIORS, three()).catalogue
