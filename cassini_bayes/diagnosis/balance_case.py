@@ -272,7 +272,7 @@ class BalanceCase(Case[Hypothesis]):
         what = "searches for a second cause"
         settled_by, near = _side_by_side((), to_find, pairs, base, what, workers, SECOND_CAUSE_NATS)
         # pairs have the first cause's likeliest beginning; others count for them as for it alone,
-        # and what coarse counters take off as well
+        # and what a second reckoning takes off as well
         least -= first.net_evidence - first.own_evidence
         weighed = weigh_extensions(pairs, near, base, silent, workers, least)
         for (e, _), settled in zip(to_find, settled_by, strict=True):

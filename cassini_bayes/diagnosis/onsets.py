@@ -131,7 +131,8 @@ class Beginnings:
         """Causes throughout, and from such events on as may come near the best.
 
         Those whose log Bayes factor is below ``least`` throughout are left out, unless a later
-        beginning is among these.
+        beginning is among these, or they can have none. ``least`` is not above zero: where there is
+        no choice of beginnings, factors are zero.
         """
         due = self._due(float(self.gains.max(initial=0.0)))
         kept = {c for c, _ in due} | {*np.flatnonzero(self.factors[:, 0] >= least).tolist()}

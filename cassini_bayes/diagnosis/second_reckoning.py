@@ -9,8 +9,8 @@ nuisances, it gains
 
     ½ (r + d)ᵀ V⁻¹ (r + d) − ½ rᵀ V⁻¹ r − ½ |z|²  =  dᵀ V⁻¹ r + ½ dᵀ V⁻¹ d − ½ |z|²
 
-over the baseline, z the standard values of its size. Torque noise of density a has a column for
-each of its cosines, of variance a², and gains the log of ∫ p(a) exp Δ(a) da
+over the baseline, z the standard values of its size. Torque noise of density a has columns for its
+cosines of two minutes and more, of variance a², and gains the log of ∫ p(a) exp Δ(a) da
 (:func:`cassini_bayes.balance.linearised.change_of_evidence`), p the prior of ``unknown``. It is
 taken beside the baseline's mode and beside that of ``unknown``, and the larger one counts: a
 baseline that bent may have taken up what is there. Where the likelihood says more than that, the
@@ -45,7 +45,7 @@ from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, tor
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.priors.distributions import Distribution
 
-NODES: Final = np.linspace(-4.0, 4.0, 33)  # standard normals, of the prior of torque noise
+NODES: Final = np.linspace(-4.0, 4.0, 97)  # standard normals, of the prior of torque noise
 
 
 def has_coarse_counters(hypothesis: Hypothesis) -> bool:
@@ -135,23 +135,27 @@ def reckoned_again(
 ) -> list[Weighed[Hypothesis]]:
     """Everything weighed; what is ahead of ``none`` has the lesser of both gains.
 
-    From the most probable on, until one of them that was looked at stays ahead, or has no second
-    reckoning. ``seen`` are those that were looked at before.
+    Causes from the most probable on, until one of them that was looked at stays ahead, or has no
+    second reckoning; then ``unknown`` if it leads and is not among what was ``seen`` before. With
+    totals rows beside telemetry all stay as they are.
     """
-    result, known = list(weighed), {*seen}
+    result = list(weighed)
     none = next(w for w in result if w.name == NONE)
-    while (name := leads(result)) != NONE and name not in known:
-        known.add(name)
-        best = max(result, key=lambda own: own.score)
-        if name == UNKNOWN:
-            changed = unknown_again(best, none, believed)
-        elif acts_on_pulses(none.hypothesis, best.hypothesis, best.mode.point):
-            looked_at = examined(best)
-            extra = len(best.mode.point) - none.hypothesis.dimension
-            by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
-            withheld = by_bands - gain_by_levels(none.hypothesis, looked_at)
-            changed = replace(looked_at, withheld=max(withheld, 0.0))
-        else:
+    known: set[str] = set()
+    while not none.hypothesis.model.totals:
+        best = max((w for w in result if w.is_cause), key=lambda own: own.score, default=none)
+        hypothesis, point = best.hypothesis, best.mode.point
+        if best.score <= none.score or best.name in known:
             break
+        if not acts_on_pulses(none.hypothesis, hypothesis, point):
+            break
+        known.add(best.name)
+        looked_at = examined(best)
+        extra = len(point) - none.hypothesis.dimension
+        by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
+        withheld = by_bands - gain_by_levels(none.hypothesis, looked_at)
+        changed = replace(looked_at, withheld=max(withheld, 0.0))
         result = [changed if own is best else own for own in result]
+    if leads(result) == UNKNOWN and UNKNOWN not in seen:
+        result = [unknown_again(w, none, believed) if w.name == UNKNOWN else w for w in result]
     return result

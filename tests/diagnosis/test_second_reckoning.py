@@ -37,7 +37,7 @@ from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 
 ROOT = Path(__file__).parents[2]
 SEED, TRIAL = 20263603, 97  # one bias, counters of 10 ms, adapted widths, rates ten times finer
-# The same and heavier thrusters' firings, some hundred in fifteen minutes; one bias of its six.
+# The first of six biases, such counters and widths as well: a hundred roundings in fifteen minutes.
 FEW_LEVELS = 20263908, 1105
 # One bias, counters every ten seconds: what no cause of the catalogue does bends its baseline.
 BENT, PLUMES = (20263703, 331), Hidden("plume_impingement:z2", {"lever_m": 0.43}, float("nan"))
@@ -165,7 +165,7 @@ def test_what_few_roundings_make_up_is_no_torque_that_wanders() -> None:
 
 
 def test_a_torque_that_wanders_keeps_what_it_gains() -> None:
-    """Flown with torque noise of three times that: both reckonings have it, and it leads."""
+    """Flown with torque noise of three times its median: both reckonings have it, and it leads."""
     _, none, unknown = wandering(3e-3)
     assert unknown.net_evidence - none.net_evidence > 20.0
     assert about_mode(none) > 20.0
@@ -182,6 +182,18 @@ def test_what_the_baseline_took_up_counts_beside_the_mode_of_unknown() -> None:
     by_bands = unknown.net_evidence - none.net_evidence
     assert about_mode(none) < 0.5 * by_bands
     assert unknown_again(unknown, none, BELIEVED).net_evidence == unknown.net_evidence
+
+
+@usual_drive
+def test_causes_are_reckoned_again_where_unknown_leads() -> None:
+    """``unknown`` that stays ahead does not keep what roundings make up for a cause behind it."""
+    _, none = flown()
+    cause = weighed("pulse_shape")
+    unknown = compact(unknown_hypothesis(flown()[0]))
+    ahead = replace(none, hypothesis=unknown, log_evidence=cause.log_evidence + 50.0)
+    told = reckoned_again([none, ahead, cause], BELIEVED, {"unknown"})
+    assert told[1] is ahead
+    assert told[2].score < none.score
 
 
 def test_behind_the_baseline_nothing_is_reckoned_again() -> None:
