@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import logsumexp
 
 from cassini_bayes.balance.statistics.turns import WhiteTurns
 from cassini_bayes.computing.arrays import Array, Places
@@ -183,6 +184,14 @@ def change_of_evidence(kappa: Array, rotated: Array, amplitudes: Array) -> Array
     square = amplitudes[:, None] ** 2
     grown = 1.0 + square * kappa
     return np.asarray(0.5 * (square * rotated**2 / grown - np.log(grown)).sum(-1))
+
+
+def mean_change_of_evidence(
+    matrix: Array, vector: Array, amplitudes: Array, log_weights: Array
+) -> float:
+    """Log of the weighted mean of e^Δ(a) over amplitudes a (n,), Δ by M (q, q) and h (q,)."""
+    changes = change_of_evidence(*diagonal(matrix, vector), amplitudes)
+    return float(logsumexp(changes + log_weights) - logsumexp(log_weights))
 
 
 def whitened(columns: Array, factor: Array) -> Array:

@@ -207,13 +207,12 @@ class BalanceCase(Case[Hypothesis]):
                 best = max(w.log_evidence for w in weighed)
                 result = replace(effect, search_result=settled)
                 weighed.append(self._settled(result, (), base, best, workers))
-        believed, seen = events.catalogue.unknown.torque_noise, set[str]()
-        if leads(weighed) == UNKNOWN:  # before draws, which are for what is near the best
+        believed = events.catalogue.unknown.torque_noise
+        if is_known := leads(weighed) == UNKNOWN:  # before draws, for what is near the best
             weighed[1] = unknown_again(weighed[1], weighed[0], believed)
-            seen.add(UNKNOWN)
         sampled = _sampled_near_best(weighed, rng, workers)
         summed = beginnings.summed(sampled, sampled[0].net_evidence)
-        again = reckoned_again(summed, believed, seen)
+        again = reckoned_again(summed, believed, unknown_too=not is_known)
         return with_thruster_forms(again, events.catalogue.unknown)
 
     def _settled(
@@ -443,8 +442,7 @@ def _higher_beside_unknown(
     Few rows between firings may have two modes: from the centre the search ended at a tail-off
     seven times too long, 90 to 135 nats too low (two biases of 12 and 16 rows).
     """
-    at = dict(zip(unknown.model.space.names, unknown_mode.point, strict=True))
-    point = np.array([at[name] for name in none.model.space.names])
+    point = none.part_of(unknown, unknown_mode.point)
     if not none.log_density(point[None])[0] > base.value:
         return None
     mode = find_mode(none.log_density, none.dimension, point)

@@ -79,8 +79,7 @@ def baseline_at(
     There nuisances are not bent to explain what is missing, as they are at the baseline's mode.
     """
     full = none_hypothesis(events)
-    at = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
-    point = np.array([at[name] for name in full.model.space.names])
+    point = full.part_of(unknown.hypothesis, unknown.mode.point)
     return full, point, innovations(full, point)
 
 

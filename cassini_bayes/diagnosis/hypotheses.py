@@ -84,6 +84,11 @@ class Hypothesis:
         own = sum(len(effect.parameters) for effect in self.effects)
         return slice(self.dimension - own, self.dimension)
 
+    def part_of(self, other: Hypothesis, z: Array) -> Array:
+        """What a point z of a hypothesis that has all coordinates of this one is here (d,)."""
+        at = dict(zip(other.model.space.names, z, strict=True))
+        return np.array([at[name] for name in self.model.space.names])
+
     def log_density(self, z: Array) -> Array:
         """Log likelihood plus log prior (n,) at z (n, d).
 

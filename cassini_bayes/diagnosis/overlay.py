@@ -108,8 +108,7 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
     assert left is not None
     hypothesis = weighed.hypothesis
     without = compact(none_hypothesis(events.with_columns_of(hypothesis.effects)))
-    at = dict(zip(hypothesis.model.space.names, weighed.mode.point, strict=True))
-    shared = np.array([at[name] for name in without.model.space.names])
+    shared = without.part_of(hypothesis, weighed.mode.point)
     linear, factors = linearise(hypothesis, weighed.mode.point)
     plain, plain_factors = linearise(without, shared)
     seen = left.linear.columns.T @ left.linear.target

@@ -23,14 +23,13 @@ the linear model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import change_of_evidence, diagonal
+from cassini_bayes.balance.linearised import mean_change_of_evidence
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -56,11 +55,8 @@ def has_coarse_counters(hypothesis: Hypothesis) -> bool:
 def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
     """Whether a cause leaves body, wheels and gyro as they are at a point (d,) of its model.
 
-    One that a search has settled has columns of its own, and is no such cause; nor is any where all
-    counters have fine steps.
+    One that a search has settled has columns of its own, and is no such cause.
     """
-    if not has_coarse_counters(cause):
-        return False
     if any(effect.search_result is not None for effect in cause.effects):
         return False
     before = none.model.points(point[None, : none.dimension])
@@ -100,9 +96,7 @@ def gain_by_wander(
         walks.append(columns * np.sqrt(variance))
     told = BesideMode.of(hypothesis, point, left).information(side_by_side(walks))
     densities = believed.quantile_of_standard(NODES)
-    changes = change_of_evidence(*diagonal(told.matrix, told.vector), densities)
-    weights = -0.5 * NODES**2
-    return float(logsumexp(changes + weights) - logsumexp(weights))
+    return mean_change_of_evidence(told.matrix, told.vector, densities, -0.5 * NODES**2)
 
 
 def unknown_again(
@@ -116,10 +110,8 @@ def unknown_again(
     model = none.hypothesis.model
     if model.totals or not model.telemetry:
         return unknown
-    named = dict(zip(unknown.hypothesis.model.space.names, unknown.mode.point, strict=True))
-    beside = np.array([named[name] for name in model.space.names])
-    by_bands = unknown.own_evidence - none.net_evidence
-    baseline = none.hypothesis
+    by_bands, baseline = unknown.own_evidence - none.net_evidence, none.hypothesis
+    beside = baseline.part_of(unknown.hypothesis, unknown.mode.point)
     about = [(none.mode.point, left_by(none)), (beside, innovations(baseline, beside))]
     gained = max(gain_by_wander(baseline, at, left, believed) for at, left in about)
     return replace(unknown, withheld=max(by_bands - gained, 0.0))
@@ -131,18 +123,18 @@ def leads(weighed: Sequence[Weighed[Hypothesis]]) -> str:
 
 
 def reckoned_again(
-    weighed: Sequence[Weighed[Hypothesis]], believed: Distribution, seen: Set[str] = frozenset()
+    weighed: Sequence[Weighed[Hypothesis]], believed: Distribution, *, unknown_too: bool = True
 ) -> list[Weighed[Hypothesis]]:
     """Everything weighed; what is ahead of ``none`` has the lesser of both gains.
 
     Causes from the most probable on, until one of them that was looked at stays ahead, or has no
-    second reckoning; then ``unknown`` if it leads and is not among what was ``seen`` before. With
-    totals rows beside telemetry all stay as they are.
+    second reckoning; then ``unknown``, if it leads and was not looked at before (``unknown_too``).
+    With totals rows beside telemetry all stay as they are.
     """
     result = list(weighed)
     none = next(w for w in result if w.name == NONE)
     known: set[str] = set()
-    while not none.hypothesis.model.totals:
+    while has_coarse_counters(none.hypothesis) and not none.hypothesis.model.totals:
         best = max((w for w in result if w.is_cause), key=lambda own: own.score, default=none)
         hypothesis, point = best.hypothesis, best.mode.point
         if best.score <= none.score or best.name in known:
@@ -156,6 +148,6 @@ def reckoned_again(
         withheld = by_bands - gain_by_levels(none.hypothesis, looked_at)
         changed = replace(looked_at, withheld=max(withheld, 0.0))
         result = [changed if own is best else own for own in result]
-    if leads(result) == UNKNOWN and UNKNOWN not in seen:
+    if unknown_too and leads(result) == UNKNOWN:
         result = [unknown_again(w, none, believed) if w.name == UNKNOWN else w for w in result]
     return result

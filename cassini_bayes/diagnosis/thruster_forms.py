@@ -29,7 +29,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import Information, change_of_evidence, diagonal
+from cassini_bayes.balance.linearised import Information, mean_change_of_evidence
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
@@ -121,9 +121,8 @@ def _of_all(own: Array, thrusters: Sequence[str], names: Sequence[str]) -> Array
 
 def _summed(told: Information, which: slice, bounds: tuple[float, float]) -> float:
     """Log of the mean over scales, log-uniform between bounds, of the change of the evidence."""
-    own = diagonal(told.matrix[which, which], told.vector[which])
-    changes = change_of_evidence(*own, np.geomspace(*bounds, NODES))
-    return float(logsumexp(changes) - np.log(NODES))
+    own, scales = (told.matrix[which, which], told.vector[which]), np.geomspace(*bounds, NODES)
+    return mean_change_of_evidence(*own, scales, np.zeros(NODES))
 
 
 def with_thruster_forms(

@@ -191,7 +191,7 @@ def test_causes_are_reckoned_again_where_unknown_leads() -> None:
     cause = weighed("pulse_shape")
     unknown = compact(unknown_hypothesis(flown()[0]))
     ahead = replace(none, hypothesis=unknown, log_evidence=cause.log_evidence + 50.0)
-    told = reckoned_again([none, ahead, cause], BELIEVED, {"unknown"})
+    told = reckoned_again([none, ahead, cause], BELIEVED, unknown_too=False)
     assert told[1] is ahead
     assert told[2].score < none.score
 
@@ -201,7 +201,7 @@ def test_behind_the_baseline_nothing_is_reckoned_again() -> None:
     _, none, unknown = wandering(0.0)
     behind = replace(unknown, log_evidence=none.log_evidence - 1.0)
     assert reckoned_again([none, behind], BELIEVED)[1] is behind
-    seen = reckoned_again([none, unknown], BELIEVED, {"unknown"})
+    seen = reckoned_again([none, unknown], BELIEVED, unknown_too=False)
     assert seen[1] is unknown
 
 
