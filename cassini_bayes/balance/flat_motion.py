@@ -8,7 +8,8 @@ upwards, the second downwards. The factor for which it is zero is the root of th
 balance's own noise, at noise levels that stay fixed. It is taken at a body of nominal size and
 grows with |det I|, so that the common scale of inertia, wheels and thrusts is not drawn either
 (docs/topics/telemetry-likelihood.md §3). Where rows have late pulses, thrusters answer what is
-late: there the measure grows with what they deliver, by the share of that noise (§4).
+late: there the measure grows with what they deliver, by the share of that noise, less what of it
+the body itself has at the same time (§4).
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import numpy as np
 
 from cassini_bayes.balance.kernel import log_of_flat_rows
 from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.statistics.channel_noise import ChannelNoise
+from cassini_bayes.balance.statistics.late import body_share
 from cassini_bayes.balance.telemetry_balance import NOTHING_OPEN, Answered, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
@@ -28,6 +31,7 @@ from cassini_bayes.balance.telemetry_noise import (
     band_wheel_variances,
     couple_torques,
     covariance_beside_wheels,
+    late_covariance,
     late_variances,
     of_bands,
     open_counters,
@@ -57,9 +61,9 @@ def log_measure(
     R the rows of bands in which wheels move by any amount. The initial momentum takes up a constant
     of the slow band: its body rate is flat, too. All this is at body and wheels of nominal size,
     with the determinant of the prior means; log |det I| grows by its difference, for each rate but
-    one and each turn. Where rows have late pulses body and wheels have their own size, and the
-    thrusts' part is that of :func:`pushed_information`. The unit is that of
-    :func:`in_channel_units`.
+    one and each turn. Where rows have late pulses body and wheels have their own size, the body
+    also grows by its rows of :class:`.Answered`, and the thrusts' part is that of
+    :func:`pushed_information`. The unit is that of :func:`in_channel_units`.
 
     Parameters
     ----------
@@ -75,6 +79,9 @@ def log_measure(
     growth = _body_growth(event, physics)
     physics = _of_size(physics, np.exp(-growth / 3.0))
     result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
+    if event.answered is not None:
+        grown = _log_per_rate(physics) - event.answered.log_per_rate
+        result = result + grown @ event.answered.body_rows
     if event.turns:
         walked = [band.walked_s3 for band in event.turns]
         noise = turn_noise(event, physics, reference, event.nominally_open.turns, walked)
@@ -82,6 +89,18 @@ def log_measure(
         contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
         result = result + (more + 0.5 * _log_det(noise.covariance)) @ contrasts
     return result
+
+
+def with_likely_noise(event: TelemetryBalance, parameters: Mapping[str, Array]) -> TelemetryBalance:
+    """The same event with the noise of rates at one point (n = 1) for reference, if not seen.
+
+    Where thrusters fire all the time no differences of rows show it, and all is in how much of a
+    row's noise it is.
+    """
+    if event.statistics.noise.rate_rad_s > 0.0:
+        return event
+    likely = ChannelNoise(rate_rad_s=float(parameters["rate_noise_rad_s"][0]))
+    return replace(event, sampling=likely.seen_by(event.sampling))
 
 
 def in_channel_units(
@@ -94,6 +113,7 @@ def in_channel_units(
     """
     event = replace(
         event,
+        answered=None,
         log_unit=0.0,
         log_size=float(_log_det(physics.inertia_kg_m2)[0]),
         nominally_open=open_counters(event, physics),
@@ -107,11 +127,12 @@ def in_channel_units(
 def in_thrust_units(
     event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], delivered: Array
 ) -> TelemetryBalance:
-    """The same event with the thrusts' part of the measure 1 at its thrusts and one point (n = 1).
+    """The same event with what thrusters answer, which is 1 at its thrusts and one point (n = 1).
 
     ``delivered`` is that of :func:`pushed_information`. Weights of couples are their shares of the
     variance of what is late about an axis. A couple that next to none of it is of has none: its
-    torque may be zero. Nor has an axis that is not pushed.
+    torque may be zero. Nor has an axis that is not pushed. The body cannot have more of the noise
+    than there is.
     """
     torque, late = couple_torques(event, physics)[0], late_variances(event, physics)[0]
     variance = torque**2 * late
@@ -124,8 +145,10 @@ def in_thrust_units(
         seen = np.flatnonzero(share[:, couple])
         whole = delivered[0][:, members] @ event.thrusts_n[members]
         weights[np.ix_(seen, members)] = (share[seen, couple] / whole[seen])[:, None]
-    rows = np.where(is_pushed, _answered_rows(event, physics, parameters), 0.0)
-    return replace(event, answered=Answered(rows, weights))
+    rows, of_body = np.where(is_pushed, _answered_rows(event, physics, parameters), 0.0)
+    of_body = np.minimum(of_body, rows)
+    answered = Answered(rows - of_body, weights, of_body, _log_per_rate(physics)[0])
+    return replace(event, answered=answered)
 
 
 def pushed_information(
@@ -153,7 +176,7 @@ def pushed_information(
     Matrix (n, K, K), vector (n, K) and constant (n,), as of :class:`.ThrustInformation`.
     """
     assert event.answered is not None  # in_thrust_units has it
-    rows, weights = event.answered
+    rows, weights = event.answered.rows, event.answered.weights
     of_each = weights * delivered
     whole = np.maximum(of_each @ event.thrusts_n, LEAST_PUSH)
     along = of_each / whole[..., None]
@@ -193,9 +216,10 @@ def _at_reference(event: TelemetryBalance, parameters: Mapping[str, Array]) -> d
 def _answered_rows(
     event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
 ) -> Array:
-    """Rows (3,) about every axis that thrusters answer: shares of what is late and of the torque.
+    """Rows (2, 3) about every axis: of noise that is not the channels', and of it the body's.
 
-    Counted at one point (n = 1), where the event's slow motion is flat, but for the constant.
+    The former is what is late and the torque. Counted at one point (n = 1), where the event's slow
+    motion is flat, but for the constant.
     """
     reference = _at_reference(event, parameters)
     of_channels, whole = (
@@ -203,15 +227,37 @@ def _answered_rows(
         for left_open in (NOTHING_OPEN.rows, event.nominally_open.rows)
     )
     by_torque = reference["torque_noise_n_m_s05"] ** 2
+    of_body = _body_noise(event, physics)
     bands = len(event.slow)
     modes = np.repeat(np.arange(bands), [band.rows for band in event.slow])
-    share = 1.0 - of_channels[modes] / (whole[modes] + np.outer(event.flat_rows.walk, by_torque))
-    result = (1.0 - event.constant**2) @ share
+    noise = whole[modes] + np.outer(event.flat_rows.walk, by_torque)
+    moves = 1.0 - event.constant**2
+    result = np.stack([moves @ (1.0 - of_channels[modes] / noise), moves @ (of_body / noise)])
     for place, band in enumerate(event.fast, bands):
         if band.motion is None:
             noise = whole[place] + band.walk.mean() * by_torque
-            result = result + band.rows * (1.0 - of_channels[place] / noise)
-    return np.asarray(result)
+            shares = np.stack([1.0 - of_channels[place] / noise, of_body / noise])
+            result = result + band.rows * shares
+    return result
+
+
+def _body_noise(event: TelemetryBalance, physics: Physics) -> Array:
+    """What of the noise that is late the body itself has (3,), (N m s)²: less than none is more."""
+    counters = event.statistics.counters
+    delay, rise, fall = (float(np.mean(tau)) for tau in physics.tau_s)
+    share = body_share(
+        event.sampling.pulse_shape,
+        (delay, rise, fall),
+        counters.late_width_s,
+        counters.late_first_s,
+        counters.late_every_s,
+    )
+    return np.asarray(share * np.diagonal(late_covariance(event, physics)[0]))
+
+
+def _log_per_rate(physics: Physics) -> Array:
+    """Log of the momentum per measured rate (n, 3) about the axis of the rate."""
+    return np.log(np.abs(np.diagonal(physics.momentum_per_rate, axis1=-2, axis2=-1)))
 
 
 def _band_noise(

@@ -191,11 +191,15 @@ class Answered(NamedTuple):
     """What thrusters answer of an event's noise, about every axis.
 
     ``rows`` (3,) is how many, and ``weights`` (3, K), 1/(N m s), are what the momentum that a
-    thruster delivers counts for.
+    thruster delivers counts for. ``body_rows`` (3,) is by how many the body has more of the noise
+    than that of its rates, and ``log_per_rate`` (3,) the log of the momentum per measured rate at
+    which that is nothing.
     """
 
     rows: Array
     weights: Array
+    body_rows: Array
+    log_per_rate: Array
 
 
 NOTHING_OPEN: Final = OpenCounters(np.zeros((1, 1, 3, 3)), np.zeros((1, 1, 3, 3)))

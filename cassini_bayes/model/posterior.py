@@ -41,6 +41,7 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 TAIL: Final = "tau_fall_s"
+RATE_NOISE: Final = "rate_noise_rad_s"
 Event = TotalsEvent | ReducedEvent
 _POINTS: Final = 4  # draws of the prior at which a column without weight is found
 _BLOCK: Final = 400  # points at once, whose arrays stay in the processor's cache
@@ -278,34 +279,53 @@ def _with_rough_thrusts(model: Model) -> Model:
 
 
 def _with_likely_thrusts(model: Model) -> Model:
-    """The same by the likeliest tail and factor on what is late, where rows have late pulses (§4).
+    """The same by the likeliest tail, factor on what is late and noise of rates (§4).
 
     A tail that is 20 ms off makes thrusts two thirds too small, where thrusters mostly push to and
     fro. Of events with late pulses all thrusts are the same: one by one they are told by what their
-    pulses on the whole differ.
+    pulses on the whole differ. Noise of rates is searched for with the factor, as both look alike
+    in single rows; the measure of flat motion of such events is taken at what is likeliest.
     """
     wide = _with_wide_thrusts(model, _ROUGH_LATE)
     nominal, lean = _nominal(wide), without_idle(model)
-    names = [name for name in (TAIL, LATE_FACTOR) if name in model.space.names]
-    grid = np.meshgrid(*(_ROUGH_STEPS for _ in names), indexing="ij")
-    z = np.zeros((_ROUGH_STEPS.size ** len(names), model.space.dimension))
-    for name, own in zip(names, grid, strict=True):
-        z[:, model.space.names.index(name)] = own.ravel()
-    at = {name: np.full(len(z), mean) for name, mean in model.priors.means().items()}
-    moved = model.space.to_parameters(z)
-    points = wide.points_at({**at, **{name: moved[name] for name in names}}, len(z))
-    unlike = 0.5 * (z**2).sum(axis=1)
+    pairs = [(TAIL, LATE_FACTOR)]
+    if RATE_NOISE in model.space.names:
+        pairs.append((LATE_FACTOR, RATE_NOISE))
     is_late = np.zeros((len(model.fired_ids), 1), dtype=np.bool_)
     for term, fired in zip(model.telemetry, model.fired_of_term[len(model.totals) :], strict=True):
         is_late[fired] = term.balance.late is not None
+    likely, names = np.zeros(model.space.dimension), model.space.names
     for _ in range(_ROUGH_TIMES):
-        collapsed = _collapse_at(lean, points)
-        likeliest = int(np.argmax(collapsed.log_likelihood - unlike))
+        for pair in pairs:
+            z = _on_grid(likely, [names.index(name) for name in pair if name in names])
+            points = wide.points_at(_searched(wide, z), len(z))
+            collapsed = _collapse_at(lean, points)
+            likeliest = int(np.argmax(collapsed.log_likelihood - 0.5 * (z**2).sum(axis=1)))
+            likely = z[likeliest]
         rough = thrust_moments(wide.thrust_prior, collapsed.thrusts)[0][likeliest]
         rough = np.where(is_late, rough.mean(axis=1, keepdims=True), rough)
         rough = np.maximum(rough, _LEAST_ROUGH * wide.thrust_prior.common_mean_n)
-        model, lean = (_with_thrusts(own, rough, nominal) for own in (model, lean))
+        at_likely = {**_searched(model, likely[None]), TORQUE_NOISE: np.zeros(1)}
+        points = model.points_at(at_likely, 1)
+        model, lean = (_with_thrusts(own, rough, nominal, points) for own in (model, lean))
     return model
+
+
+def _on_grid(z: Array, places: Sequence[int]) -> Array:
+    """Points (n, d) like z (d,) but for some coordinates, which have all pairs of likely values."""
+    grid = np.meshgrid(*(_ROUGH_STEPS for _ in places), indexing="ij")
+    result = np.tile(z, (_ROUGH_STEPS.size ** len(places), 1))
+    for place, own in zip(places, grid, strict=True):
+        result[:, place] = own.ravel()
+    return result
+
+
+def _searched(model: Model, z: Array) -> dict[str, Array]:
+    """Parameters (n,) of which what is searched for is as at z (n, d), all else at prior means."""
+    moved = model.space.to_parameters(z)
+    searched = (name for name in (TAIL, LATE_FACTOR, RATE_NOISE) if name in model.space.names)
+    means = {name: np.full(len(z), mean) for name, mean in model.priors.means().items()}
+    return {**means, **{name: np.asarray(moved[name]) for name in searched}}
 
 
 def _with_wide_thrusts(model: Model, width: float) -> Model:
@@ -323,11 +343,18 @@ def _nominal(model: Model) -> Points:
     return model.points_at({**means, TORQUE_NOISE: np.zeros(1)}, 1)
 
 
-def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points) -> Model:
-    """The model whose telemetry has these thrusts (E', K), at the prior means (n = 1)."""
+def _with_thrusts(
+    model: Model, thrusts_n: Array, nominal: Points, likely: Points | None = None
+) -> Model:
+    """The model whose telemetry has these thrusts (E', K), at the prior means (n = 1).
+
+    Where rows have late pulses they are taken at what is ``likely`` (n = 1).
+    """
     places = model.fired_of_term[len(model.totals) :]
     terms = [
-        term.with_thrusts(thrusts_n[fired][0], nominal) if term.event.fires else term
+        term.with_thrusts(thrusts_n[fired][0], nominal, likely or nominal)
+        if term.event.fires
+        else term
         for term, fired in zip(model.telemetry, places, strict=True)
     ]
     return replace(model, telemetry=tuple(terms))

@@ -24,6 +24,7 @@ from cassini_bayes.balance.flat_motion import (
     in_channel_units,
     in_thrust_units,
     pushed_information,
+    with_likely_noise,
 )
 from cassini_bayes.balance.inertia import ELEMENTS, WITHOUT_WHEELS, elements_of, without_wheels
 from cassini_bayes.balance.kernel import without_own
@@ -166,15 +167,19 @@ class TelemetryTerm:
         balance = without_idle_columns(self.balance, self.physics(points), walks=walks)
         return replace(self, balance=balance)
 
-    def with_thrusts(self, thrusts_n: Array, nominal: Points) -> TelemetryTerm:
-        """The same with the event's thrusts (K,) to some percent, at the prior means (n = 1)."""
+    def with_thrusts(self, thrusts_n: Array, nominal: Points, likely: Points) -> TelemetryTerm:
+        """The same with the event's thrusts (K,) to some percent, at the prior means (n = 1).
+
+        Where rows have late pulses it is at what is ``likely`` (n = 1), its noise of rates, too.
+        """
         balance = replace(self.balance, thrusts_n=thrusts_n)
-        physics = self.physics(nominal)
-        balance = in_channel_units(balance, physics, nominal.parameters)
-        if balance.late is not None:
-            delivered = self.delivered(physics, 1)
-            balance = in_thrust_units(balance, physics, nominal.parameters, delivered)
-        return replace(self, balance=balance)
+        if balance.late is None:
+            physics, parameters = self.physics(nominal), nominal.parameters
+            return replace(self, balance=in_channel_units(balance, physics, parameters))
+        physics, parameters = self.physics(likely), likely.parameters
+        balance = in_channel_units(with_likely_noise(balance, parameters), physics, parameters)
+        delivered = self.delivered(physics, 1)
+        return replace(self, balance=in_thrust_units(balance, physics, parameters, delivered))
 
     def delivered(self, physics: Physics, n: int) -> Array:
         """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N."""

@@ -14,13 +14,14 @@ from telemetry_cases import made_up_samples, telemetry_priors
 
 import cassini_bayes.balance.flat_motion
 import cassini_bayes.balance.statistics.preparation
+import cassini_bayes.model.posterior
 import cassini_bayes.model.telemetry
 from cassini_bayes.balance.flat_motion import in_thrust_units, pushed_information
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, layout_of, reduce_chunks
 from cassini_bayes.balance.statistics.columns import close_pairs, effective_increments
 from cassini_bayes.balance.statistics.counters import delivered_pulses, firings
-from cassini_bayes.balance.statistics.late import late_pulses
+from cassini_bayes.balance.statistics.late import body_share, late_pulses
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
@@ -33,6 +34,7 @@ from cassini_bayes.model import build_model
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.posterior import Model, log_posterior
+from cassini_bayes.model.terms import Points
 from cassini_bayes.simulation import SimulatedEvent
 from cassini_bayes.spacecraft.parameters import LATE_FACTOR
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
@@ -41,6 +43,7 @@ from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import flat_truth, reduced_simulation
 
 SHAPE = PULSE_SHAPES["first_order"]
+WITH_THRUSTS = cassini_bayes.model.posterior._with_thrusts
 TAU_S = (0.005, 0.02, 0.05)
 ROOT = Path(__file__).parents[2]
 INERTIAS = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
@@ -93,6 +96,39 @@ def test_a_valve_without_delays_is_never_late() -> None:
     assert found.variance_s2(np.array([0.02]), np.array([0.05]))[0, 0] < 1e-6
 
 
+@pytest.mark.parametrize("fall", [0.02, 0.05, 0.09])
+def test_the_body_has_a_share_of_what_is_late(fall: float) -> None:
+    """Thrust that rises at once: tails are exponential, and sums over cycles geometric series.
+
+    To some percent: the jump falls between two ages.
+    """
+    width, cycle = 0.125, 0.125
+    tau, whole, left = (0.0, 1e-9, fall), width + fall, np.exp(-cycle / fall)
+    first, every = fall / (1.0 - left), fall**2 / (1.0 - left**2)
+    after = body_share(SHAPE, tau, width, cycle, cycle)
+    assert after == pytest.approx(1.0 - 0.5 * whole * first / every, rel=0.02)
+    # one that has just begun is credited with all beyond its width, and nothing has come
+    with_begun = every - 0.5 * whole * (first - fall)
+    share = body_share(SHAPE, tau, width, 0.0, cycle)
+    assert share == pytest.approx(with_begun / (fall**2 + every), rel=0.02)
+
+
+def test_the_share_is_that_of_pulses_found_at_any_time() -> None:
+    """Mean product of momentum and what is late, of pulses found at random."""
+    rng, width, tau = np.random.default_rng(4), 0.125, (0.005, 0.02, 0.06)
+    curve = np.linspace(0.0, 0.7, 70_001)
+    thrust = SHAPE.thrust_fraction(curve, width, *tau)
+    came = np.r_[0.0, np.cumsum(0.5 * (thrust[1:] + thrust[:-1]) * np.diff(curve))]
+    age = rng.uniform(0.0, 0.6, 200_000)
+    whole = float(SHAPE.effective_time(width, *tau))
+    brought = np.interp(age, curve, came)
+    late = np.minimum(age, width) + whole - width - brought
+    products = (brought - 0.5 * whole) * late
+    error = products.std() / np.sqrt(len(age)) / (late**2).mean()
+    share = -products.mean() / (late**2).mean()
+    assert body_share(SHAPE, tau, width, 0.0, 0.0) == pytest.approx(share, abs=4.0 * error)
+
+
 def test_a_thruster_that_never_pauses_fires_many_times() -> None:
     """A firing ends at the first idle interval, or after 32 pulses; none is lost."""
     begun = np.r_[np.full(40, 2.0), 0.0, np.ones(3)]
@@ -143,6 +179,8 @@ def test_tails_of_pulses_that_readings_cut_are_not_credited_before_they_come() -
         state = (plain.attitude, plain.rate_rad_s, plain.wheel_rad_s)
         found = prepare([Samples(time, *state, on_time, pulses)], 0.125, guard_s)
         assert found.found.late.block_s > 0.0
+        assert found.found.late.every_s == 0.125
+        assert found.found.late.first_s == (0.125 if longer == 0 else 0.0)
         late = np.tile((ages == 0.0).sum(axis=1)[:, None], (1, 8))
         late[-1] = 0
         wanted = pulses - late if longer == 0 else pulses
@@ -291,6 +329,24 @@ def test_the_slope_at_the_truth_is_zero_where_pulses_are_late(
     assert slope_of_inertias(flights) > 4.0
 
 
+@pytest.mark.statistical
+def test_long_tails_do_not_draw_moments_of_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is late is most of the noise there, and the measure must know it.
+
+    Twelve flights whose tails are 1.7 times as long as expected, readings every second: slopes as
+    above. With the measure taken at the prior means moments are drawn up.
+    """
+    flights = [ceaseless_flight(seed, "1 s", tau_fall_s=0.085) for seed in range(12)]
+    assert abs(slope_of_inertias(flights)) < 3.0 * np.sqrt(3.0)
+    monkeypatch.setattr(cassini_bayes.model.posterior, "_with_thrusts", at_prior_means)
+    assert slope_of_inertias(flights) > 8.0
+
+
+def at_prior_means(model: Model, thrusts_n: Array, nominal: Points, _likely: Points) -> Model:
+    """Nothing likelier is known than what the priors expect."""
+    return WITH_THRUSTS(model, thrusts_n, nominal)
+
+
 def thrust_errors(flights: Sequence[Flight]) -> Array:
     """Mean thrust of a flight's posterior less the true one, in standard deviations."""
     result = []
@@ -370,7 +426,7 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
     delivered = term.delivered(term.physics(model.points(z[None])), 1)
     event, step = term.balance, 1e-2
     assert event.answered is not None
-    rows, weights = event.answered
+    rows, weights = event.answered.rows, event.answered.weights
     assert np.all((rows > 1.0) & (rows < term.event.statistics.rows))
     of_couples = [place for place, name in enumerate(model.thrusters) if name.startswith("y")]
     assert np.all(weights[:2, of_couples] == 0.0)
@@ -393,7 +449,7 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
             values = np.array([[quadratic(own, common), exact(own)] for own in at])
             assert values[1, 0] == pytest.approx(values[1, 1], abs=1e-9)
             slope, curvature = values[2] - values[0], values[2] - 2.0 * values[1] + values[0]
-            assert slope[0] == pytest.approx(slope[1], rel=0.01)
+            assert slope[0] == pytest.approx(slope[1], rel=0.02)
             assert curvature[0] == pytest.approx(curvature[1], rel=0.02)
 
 
@@ -408,7 +464,7 @@ def test_an_axis_that_nothing_pushes_has_no_part_in_the_measure() -> None:
         in_thrust_units(term.balance, own, points.parameters, term.delivered(own, 1))
         for own in (physics, flat)
     ]
-    (rows, weights), (flat_rows, flat_weights) = (own.answered for own in found)
+    (rows, weights, *_), (flat_rows, flat_weights, *_) = (own.answered for own in found)
     assert flat_rows.tolist() == [0.0, *rows[1:]]
     assert np.all(flat_weights[0] == 0.0)
     np.testing.assert_array_equal(flat_weights[1:], weights[1:])

@@ -18,6 +18,7 @@ from scipy.integrate import cumulative_trapezoid, trapezoid
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.pulses import PulseShape
 
+AGES_OF_SHARE: Final = 4001  # of a pulse, to a tenth of a millisecond
 AGES: Final = 251  # of a running pulse that moments are integrated over, and of a tail
 TAIL: Final = 8.0  # time constants after which nothing is left of a tail: right to 1e-3
 # Multiples of the reference time constants at which moments are fitted, and their powers: what
@@ -97,6 +98,40 @@ def late_pulses(
     moments = np.stack([trapezoid(late, age), trapezoid(late**2, age)], axis=1)
     fitted = np.linalg.lstsq(_basis(rises / rise, falls / fall), moments, rcond=None)[0]
     return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz, width_s)
+
+
+def body_share(
+    shape: PulseShape,
+    tau_s: tuple[float, float, float],
+    width_s: float,
+    first_s: float,
+    every_s: float,
+) -> float:
+    """Share of what is late that the body has, with the other sign: −E[h ℓ]/E[ℓ²].
+
+    Before a pulse the body has on average half of its momentum g with the other sign, and D − g/2
+    when D is delivered. Of a pulse that stands alone, over the ages at which readings find it,
+
+        c = Σ (g/2 − D) ℓ / Σ ℓ²
+
+    per newton and lever arm. Long tails have up to 0.3, short ones less than nothing.
+
+    Parameters
+    ----------
+    shape, tau_s, width_s
+        Pulse shape, τ_delay, τ_rise, τ_fall and mean width of pulses.
+    first_s, every_s
+        Readings find a pulse at ages ``first_s``, ``first_s + every_s``, …; at any with 0.
+    """
+    delay, _, fall = tau_s
+    end = width_s + delay + TAIL * fall
+    age = np.linspace(0.0, end, AGES_OF_SHARE)
+    delivered = cumulative_trapezoid(shape.thrust_fraction(age, width_s, *tau_s), age, initial=0.0)
+    found = np.arange(first_s, end, every_s) if every_s > 0.0 else age
+    whole = float(shape.effective_time(width_s, *tau_s))
+    brought = np.interp(found, age, delivered)
+    late = np.minimum(found - width_s, 0.0) + whole - brought
+    return float(np.sum((0.5 * whole - brought) * late) / np.sum(late**2))
 
 
 def _basis(rise: Array, fall: Array) -> Array:

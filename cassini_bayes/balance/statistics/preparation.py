@@ -131,10 +131,13 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     )
     if hardly_quiet and begun.any():
         gained = expected.on_time_s[-1] - expected.on_time_s[0]
-        width = float(gained.sum() / begun.sum())
-        late = LateRows(BLOCK_S, width, tuple((begun / (time[-1] - time[0])).tolist()))
+        width, rates = float(gained.sum() / begun.sum()), begun / (time[-1] - time[0])
         are_cycles = are_quantised(on_time, pulses, step_s, control_cycle_s)
-        if are_cycles and width < (1.0 + LONGER) * control_cycle_s:
+        are_told = are_cycles and width < (1.0 + LONGER) * control_cycle_s
+        every = control_cycle_s if with_cycles else 0.0
+        first_s = every if are_told else 0.0
+        late = LateRows(BLOCK_S, width, tuple(rates.tolist()), first_s, every)
+        if are_told:
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)

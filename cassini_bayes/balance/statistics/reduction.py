@@ -44,7 +44,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 20  # raised with every change of what is stored
+_FORMAT: Final = 21  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 384  # intervals with firings of a couple that are told apart
@@ -132,7 +132,8 @@ class CounterStatistics:
     (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
     on-time of a firing is known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
-    is the mean width of pulses and ``late_rate_hz`` (G,) how often couples fire. ``step_s`` is the
+    is the mean width of pulses, ``late_rate_hz`` (G,) how often couples fire, ``late_first_s`` and
+    ``late_every_s`` the ages at which readings find a pulse (:class:`LateRows`). ``step_s`` is the
     step of counters whose on-times are not known exactly, else 0.
     """
 
@@ -154,6 +155,8 @@ class CounterStatistics:
     averaged: float
     late_width_s: float
     late_rate_hz: Array
+    late_first_s: float
+    late_every_s: float
     step_s: float
 
     @property
@@ -199,12 +202,16 @@ class ChannelSteps:
 class LateRows:
     """Of rows that have late pulses: length of their blocks, mean width of pulses, and how often.
 
-    ``block_s`` is 0 where rows are between firings; ``rate_hz`` (K,) is of every thruster.
+    ``block_s`` is 0 where rows are between firings; ``rate_hz`` (K,) is of every thruster. Readings
+    find a pulse ``first_s`` after it begins or any number of times ``every_s`` later, which is 0
+    where they find it at any time.
     """
 
     block_s: float = 0.0
     width_s: float = 0.0
     rate_hz: tuple[float, ...] = ()
+    first_s: float = 0.0
+    every_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -476,6 +483,8 @@ def _counter_statistics(
         np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in layout.couples])
         if late.rate_hz
         else np.zeros(len(by_couple)),
+        late.first_s,
+        late.every_s,
         max((one.step_s for one in by_couple), default=0.0),
     )
 
