@@ -112,7 +112,7 @@ def body_share(
     Before a pulse the body has on average half of its momentum g with the other sign, and D − g/2
     when D is delivered. Of a pulse that stands alone, over the ages at which readings find it,
 
-        c = Σ (g/2 − D) ℓ / Σ ℓ²
+        κ = Σ (g/2 − D) ℓ / Σ ℓ²
 
     per newton and lever arm. Long tails have up to 0.3, short ones less than nothing.
 
