@@ -131,8 +131,7 @@ def in_thrust_units(
 
     ``delivered`` is that of :func:`pushed_information`. Weights of couples are their shares of the
     variance of what is late about an axis. A couple that next to none of it is of has none: its
-    torque may be zero. Nor has an axis that is not pushed. The body cannot have more of the noise
-    than there is.
+    torque may be zero. Nor has an axis that is not pushed.
     """
     torque, late = couple_torques(event, physics)[0], late_variances(event, physics)[0]
     variance = torque**2 * late
@@ -146,7 +145,6 @@ def in_thrust_units(
         whole = delivered[0][:, members] @ event.thrusts_n[members]
         weights[np.ix_(seen, members)] = (share[seen, couple] / whole[seen])[:, None]
     rows, of_body = np.where(is_pushed, _answered_rows(event, physics, parameters), 0.0)
-    of_body = np.minimum(of_body, rows)
     answered = Answered(rows - of_body, weights, of_body, _log_per_rate(physics)[0])
     return replace(event, answered=answered)
 

@@ -94,6 +94,7 @@ def test_a_valve_without_delays_is_never_late() -> None:
     """Thrust that follows its command leaves nothing."""
     found = late_pulses(PULSE_SHAPES["rectangular"], TAU_S, 0.125, np.array([1.0]))
     assert found.variance_s2(np.array([0.02]), np.array([0.05]))[0, 0] < 1e-6
+    assert body_share(PULSE_SHAPES["rectangular"], TAU_S, 0.125, 0.125, 0.125) == 0.0
 
 
 @pytest.mark.parametrize("fall", [0.02, 0.05, 0.09])

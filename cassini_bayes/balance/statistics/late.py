@@ -19,6 +19,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.pulses import PulseShape
 
 AGES_OF_SHARE: Final = 4001  # of a pulse, to a tenth of a millisecond
+LEAST_LATE: Final = 0.01  # of a pulse, for what is late to have a share
 AGES: Final = 251  # of a running pulse that moments are integrated over, and of a tail
 TAIL: Final = 8.0  # time constants after which nothing is left of a tail: right to 1e-3
 # Multiples of the reference time constants at which moments are fitted, and their powers: what
@@ -114,7 +115,8 @@ def body_share(
 
         κ = Σ (g/2 − D) ℓ / Σ ℓ²
 
-    per newton and lever arm. Long tails have up to 0.3, short ones less than nothing.
+    per newton and lever arm. Long tails have up to 0.3, short ones less than nothing; of a valve
+    without delays nothing is late.
 
     Parameters
     ----------
@@ -131,7 +133,10 @@ def body_share(
     whole = float(shape.effective_time(width_s, *tau_s))
     brought = np.interp(found, age, delivered)
     late = np.minimum(found - width_s, 0.0) + whole - brought
-    return float(np.sum((0.5 * whole - brought) * late) / np.sum(late**2))
+    square = float(np.mean(late**2))
+    if square < (LEAST_LATE * whole) ** 2:
+        return 0.0
+    return float(np.mean((0.5 * whole - brought) * late)) / square
 
 
 def _basis(rise: Array, fall: Array) -> Array:
