@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from study_cases import study_in
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind import campaign as blind_campaign
+from cassini_bayes.studies.blind import trials
 from cassini_bayes.studies.blind.campaign import read_trials, run_campaign, write_results
-from cassini_bayes.studies.blind.flights import Blind
+from cassini_bayes.studies.blind.flights import Blind, Hidden
 from cassini_bayes.studies.blind.rates import (
     COVERAGE,
     _counts,
@@ -211,3 +213,24 @@ def test_a_pair_counts_by_its_groups_one_for_each() -> None:
         for r in (wrong, like, same)
     ]
     assert found == [0, 1, 0]
+
+
+def test_sizes_are_those_of_the_pair_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a second cause; those of a cause alone, where it is not part of what is named."""
+
+    def weighed(*causes: str, size: float) -> Any:
+        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes), size=size)
+
+    def drawn(own: Any, _: np.random.Generator) -> tuple[dict[str, Any], Any]:
+        return {"size": np.full(9, own.size)}, np.ones(9)
+
+    monkeypatch.setattr(trials, "size_draws", drawn)
+    alone = [weighed("leak", size=1.0), weighed("inertia", size=2.0), weighed(size=0.0)]
+    told = {
+        "leak+inertia": SimpleNamespace(weighed=alone, extended=weighed("leak", "inertia", size=3)),
+        "leak": SimpleNamespace(weighed=alone, extended=alone[0]),
+    }
+    hidden = Hidden("inertia", {"size": 3.0}, 6.0)
+    for name, mean, covers in (("leak+inertia", 3.0, True), ("leak", 2.0, False)):
+        (size,) = trials._sizes(told[name], hidden, np.random.default_rng(0))  # type: ignore[arg-type]
+        assert (size["mean"], size["covers"]) == (mean, covers)

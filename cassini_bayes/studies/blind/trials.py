@@ -238,8 +238,13 @@ def _rank(verdict: Verdict[Hypothesis], name: str) -> int | None:
 def _sizes(
     verdict: Verdict[Hypothesis], hidden: Hidden, rng: np.random.Generator
 ) -> list[dict[str, float | str | bool]]:
-    """Whether the 90 % interval of the true cause's parameters holds what was hidden."""
-    cause = next((w for w in verdict.weighed if w.name == hidden.name), None)
+    """Whether the 90 % interval of the true cause's parameters holds what was hidden.
+
+    That of what the verdict goes on with, where the cause is part of it: beside a second one it is
+    another than that of the cause alone.
+    """
+    told = (verdict.extended, *verdict.weighed)
+    cause = next((w for w in told if hidden.name in w.hypothesis.causes), None)
     if cause is None:
         return []
     result: list[dict[str, float | str | bool]] = []
