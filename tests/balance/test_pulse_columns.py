@@ -118,6 +118,33 @@ def test_what_unlike_pulses_scatter_is_known() -> None:
     assert not basis.scatter(usual, np.ones(12)).any()
 
 
+def test_pulses_too_short_for_the_event_may_have_any_widths() -> None:
+    """Two of 104 ms together, where single ones last 63 ms and more, split that in any way.
+
+    Mean and scatter are those of all splits; taken as two of 52 ms, 97 and 7 ms would be 17 ms
+    less than expected, with no scatter. Sums that the event's pulses have stay what they are, and
+    so do firings of many pulses, of which one may have been cut.
+    """
+    rng, shape = np.random.default_rng(20261128), PULSE_SHAPES["first_order"]
+    usual = tuple(np.linspace(0.063, 0.132, 14).tolist())
+    basis, total = PulseBasis(shape, REFERENCE, usual), 0.104
+    first = total * rng.random(20_000)
+    true = sum(shape.effective_time(part, *REFERENCE) for part in (first, total - first))
+    mean, two = np.array([0.5 * total]), np.array([2.0])
+    found = 2.0 * basis.expected_columns(mean, two)[0, 0]
+    assert found == pytest.approx(true.mean(), abs=3e-4)
+    assert basis.scatter(mean, two)[0, 0, 0] == pytest.approx(true.var(), rel=0.05)
+    seven = sum(shape.effective_time(np.array([0.007, 0.097]), *REFERENCE))
+    alike = 2.0 * basis.columns(mean)[0, 0]
+    assert alike - seven == pytest.approx(0.017, abs=0.001)
+    assert abs(found - seven) < 3.0 * true.std()
+    many = np.array([0.06]), np.array([12.0])
+    assert not basis.scatter(*many).any()
+    assert basis.expected_columns(*many) == pytest.approx(basis.columns(many[0]))
+    near = np.array([0.0625]), two  # as short by chance
+    assert not basis.scatter(*near).any()
+
+
 def test_long_and_equal_pulses_scatter_nothing() -> None:
     """Pulses of 125 ms that are all alike, and single ones of any width."""
     alike = PulseBasis(PULSE_SHAPES["first_order"], REFERENCE, (0.125,) * 12)

@@ -16,7 +16,7 @@ A last column is 1 for every pulse: pulses that go on for longer need it, all ot
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -38,6 +38,8 @@ FEW: Final = 6  # pulses of a firing, whose widths are looked for one by one
 USUAL: Final = 24  # widths of pulses that weights of longer pulses are fitted over (judgement)
 GRID_S: Final = 1e-3  # of sums of their widths, and by how much these may be off (one standard
 SMOOTH_S: Final = 1.5e-3  # deviation): commands are no exact sample of those seen elsewhere
+SURELY: Final = 5.0  # standard deviations by which a sum is too small for widths of the event
+ANY: Final = 128  # widths that stand for all: 1.5 ms apart where pulses last 100 ms
 LEAST_CHANCE: Final = 1e-4  # of the likeliest sum: below it no widths of the event add up to it
 PULSE_COLUMNS: Final = ("reference", *(f"{1e3 * width:g}_ms" for width in WIDTHS_S), "count")
 # Multiples of the reference time constants at which the functions of the width are fitted: what
@@ -85,13 +87,13 @@ class PulseBasis:
         many of their mean width. Of a few pulses the sum tells which widths they may have: those
         of the event that add up to it. Of many, or where none add up to it, widths w_q have
         probabilities that go as exp(λ w_q), with λ such that Σ p_q w_q is the mean m; each of n
-        pulses then has 1 − 1/n of that scatter.
+        pulses then has 1 − 1/n of that scatter. A few pulses that are too short together for
+        those of the event have any widths (:attr:`_of_any_width`).
         """
         alike = self.columns(mean_s)
-        widths = np.array(self.widths_s)
-        inside = self._scatters(mean_s, count)
-        if inside.any():
-            chance, share = self._chances(mean_s[inside], count[inside])
+        for inside, basis in self._scatters(mean_s, count):
+            widths = np.array(basis.widths_s)
+            chance, share = basis._chances(mean_s[inside], count[inside])
             mixed = chance @ self.columns(widths) - self.columns(chance @ widths)
             mixed += self.columns(mean_s[inside]) - alike[inside]
             alike[inside] += share[:, None] * mixed
@@ -116,32 +118,41 @@ class PulseBasis:
         sixteen). Of two pulses, the second has what the first leaves.
         """
         result = np.zeros((len(count), len(PULSE_COLUMNS), len(PULSE_COLUMNS)))
-        widths, inside = np.array(self.widths_s), self._scatters(mean_s, count)
-        if not inside.any():
-            return result
-        chance, share = self._chances(mean_s[inside], count[inside])
-        columns = self.columns(widths)
-        away = widths - (chance @ widths)[:, None]  # near an end of the range not the mean
-        off = columns - (chance @ columns)[:, None]
-        by_width = np.einsum("rq,rq,rqc->rc", chance, away, off)
-        variance = np.maximum((chance * away**2).sum(axis=1), np.finfo(float).tiny)
-        off = off - away[:, :, None] * (by_width / variance[:, None])[:, None]
-        off *= np.sqrt(count[inside, None, None])
-        two = (count[inside] == 2.0) & (share == 1.0)
-        left_s = np.maximum(2.0 * mean_s[inside][two, None] - widths, 0.0)
-        both = columns + self.columns(left_s)
-        off[two] = both - np.einsum("rq,rqc->rc", chance[two], both)[:, None]
-        result[inside] = np.einsum("rq,rqc,rqd->rcd", chance, off, off)
+        for inside, basis in self._scatters(mean_s, count):
+            widths = np.array(basis.widths_s)
+            chance, share = basis._chances(mean_s[inside], count[inside])
+            columns = self.columns(widths)
+            away = widths - (chance @ widths)[:, None]  # near an end of the range not the mean
+            off = columns - (chance @ columns)[:, None]
+            by_width = np.einsum("rq,rq,rqc->rc", chance, away, off)
+            variance = np.maximum((chance * away**2).sum(axis=1), np.finfo(float).tiny)
+            off = off - away[:, :, None] * (by_width / variance[:, None])[:, None]
+            off *= np.sqrt(count[inside, None, None])
+            two = (count[inside] == 2.0) & (share == 1.0)
+            left_s = np.maximum(2.0 * mean_s[inside][two, None] - widths, 0.0)
+            both = columns + self.columns(left_s)
+            off[two] = both - np.einsum("rq,rqc->rc", chance[two], both)[:, None]
+            result[inside] = np.einsum("rq,rqc,rqd->rcd", chance, off, off)
         most = np.einsum("tc,rcd,td->rt", self._weights, result, self._weights, optimize=True)
         result[most.max(axis=1) < LEAST_SCATTER_S2] = 0.0
         return result
 
-    def _scatters(self, mean_s: Array, count: Array) -> Flags:
-        """Which firings (R,) have pulses that may be of unlike widths."""
+    def _scatters(self, mean_s: Array, count: Array) -> list[tuple[Flags, PulseBasis]]:
+        """Which firings (R,) have pulses that may be of unlike widths, and the basis with these."""
         if not self.widths_s:
-            return np.zeros(len(count), dtype=bool)
-        within = (mean_s > min(self.widths_s)) & (mean_s < max(self.widths_s))
-        return np.asarray((count > 1.0) & within)
+            return []
+        least, several = min(self.widths_s), count > 1.0
+        within = (mean_s > least) & (mean_s < max(self.widths_s))
+        short = count * (least - mean_s) > SURELY * self._smooth_s
+        short &= (mean_s > 0.0) & (count <= FEW)
+        each = [(several & within, self), (several & short, self._of_any_width)]
+        return [(firings, basis) for firings, basis in each if firings.any()]
+
+    @cached_property
+    def _of_any_width(self) -> PulseBasis:
+        """The same with all widths as likely, up to twice the least of the event's pulses."""
+        widths = 2.0 * min(self.widths_s) * (np.arange(ANY) + 0.5) / ANY
+        return replace(self, widths_s=tuple(widths.tolist()))
 
     def _chances(self, mean_s: Array, count: Array) -> tuple[Array, Array]:
         """Probabilities (R, Q) of widths in firings, and the share (R,) of their scatter."""
