@@ -182,8 +182,16 @@ class TelemetryTerm:
         return replace(self, balance=in_thrust_units(balance, physics, parameters, delivered))
 
     def delivered(self, physics: Physics, n: int) -> Array:
-        """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N."""
-        return np.asarray(physics.arms_m * self.effective_s(physics, n))
+        """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N.
+
+        With what the columns of effects bring or take, such as thrust that a warm-up lacks.
+        """
+        effective = np.array(self.effective_s(physics, n))
+        statistics = self.balance.statistics
+        ends = dict(zip(statistics.layout.extra, statistics.extra_end, strict=True))
+        for _, thruster, name in self.balance.pattern.brought:
+            effective[:, 0, thruster] += np.asarray(physics.extra.get(name, 0.0)) * ends[name]
+        return np.asarray(physics.arms_m * effective)
 
     def effective_s(self, physics: Physics, n: int) -> Array:
         """Effective on-times (n, 1, K), s, by the counters' totals."""

@@ -29,6 +29,7 @@ from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.events import prepare as prepare_diagnosis
 from cassini_bayes.diagnosis.modes import highest_mode
+from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import build_model
 from cassini_bayes.model.draws import draw
@@ -544,3 +545,37 @@ def test_a_firing_that_nothing_began_leaves_no_width() -> None:
     for given in (firing, samples.part(0, 1)):
         assert prepare([given], 0.125, 1.0).found.late.block_s == 0.0
     assert prepare([samples], 0.125, 1.0).found.late.block_s > 0.0
+
+
+def test_what_an_effect_takes_is_not_delivered() -> None:
+    """A warm-up's loss, in the measure as in the last row: thrust that makes up for it is no gain.
+
+    With the loss left out the measure grows with the thrust, and a warm-up was named by 27 nats.
+    """
+    event, _, condition = ceaseless_flight(3)
+    priors = beliefs_under(condition, ROOT / "priors")
+    effects = named_effects(["thrust_warmup"], priors, (1, 2, 4), ["telemetry"])
+    model = build_model([reduced_simulation(event, priors)], priors, effects=effects)
+    (term,) = model.telemetry
+    balance, statistics = term.balance, term.balance.statistics
+    rows, names = term.event.usable_rows, statistics.layout.extra
+    assert statistics.extra_end == pytest.approx(rows.scalar[-1, -len(names) :])
+    physics = term.physics(model.points(np.zeros((1, model.space.dimension))))
+    physics = replace(physics, extra={})
+    taking = {name: -0.02 for _, _, name in balance.pattern.brought}
+    assert taking
+    plain = term.delivered(physics, 1)
+    less = term.delivered(replace(physics, extra=taking), 1)
+    pushes = plain != 0.0
+    assert np.all((less / np.where(pushes, plain, 1.0))[pushes] > 0.0)
+    assert np.all(np.abs(less[pushes]) < np.abs(plain[pushes]))
+    more = np.max(plain / np.where(pushes, less, 1.0), axis=(0, 1))
+
+    def measure(found: tuple[Array, Array, Array], thrust: Array) -> float:
+        matrix, vector, constant = (own[0] for own in found)
+        return float(constant + vector @ thrust - 0.5 * thrust @ matrix @ thrust)
+
+    moved = replace(balance, thrusts_n=more * balance.thrusts_n)
+    before = pushed_information(balance, plain, np.zeros(1))
+    after = pushed_information(moved, less, np.zeros(1))
+    assert measure(after, moved.thrusts_n) == pytest.approx(measure(before, balance.thrusts_n))

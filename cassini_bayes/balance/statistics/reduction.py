@@ -62,7 +62,8 @@ class EventStatistics:
     ``gram[c, d]`` (3, 3, A, A) holds Σ_t a_c(t) b_d(t) for all pairs of columns and axes;
     ``projection`` (M, 3, A) = Σ_t φ_m(t) a_c(t) and ``mode_gram`` (M, M) = Σ_t φ_m φ_l belong to
     the cosines φ_m(t) = cos(m π t / T), m = 1 … M, of the torque noise. ``turns`` are those of the
-    integrated columns of quiet pieces, ``counters`` what counters leave open.
+    integrated columns of quiet pieces, ``counters`` what counters leave open, ``extra_end`` (X,)
+    what the layout's extra columns have come to in the last row.
     """
 
     event_id: str
@@ -80,6 +81,7 @@ class EventStatistics:
     steps: ChannelSteps
     noise: ChannelNoise
     shown: ShownWheels
+    extra_end: Array
 
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event says of its pulses and of the noise of its channels."""
@@ -362,6 +364,8 @@ def reduce_chunks(
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
     turns, times, wheels = _Turns(layout, sampling), Thinned(), Thinned()
     wheel = slice(layout.wheel.start - len(layout.vector), layout.wheel.stop - len(layout.vector))
+    extra_end = np.zeros(len(layout.extra))
+    extra = slice(layout.size - len(layout.vector) - len(layout.extra), None)
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
@@ -369,6 +373,7 @@ def reduce_chunks(
             turns.add(rows)
             times.add(rows.time_s)
             wheels.add(rows.scalar[:, wheel])
+            extra_end = rows.scalar[-1, extra]
             used += len(rows.time_s)
         at_readings += int((chunk.has_state & chunk.has_counters).sum())
         interval = interval or counter_interval(chunk)
@@ -400,6 +405,7 @@ def reduce_chunks(
         steps=prepared.steps,
         noise=prepared.noise,
         shown=ShownWheels(wheels.values),
+        extra_end=extra_end,
     )
 
 
@@ -716,6 +722,7 @@ def load_statistics(path: Path) -> EventStatistics | None:
             stored["mode_gram"],
             stored["cuts"],
             float(stored["counter_interval_s"]),
+            extra_end=np.zeros(0),
             **{name: _part(kind, name, stored) for name, kind in _PARTS.items()},
         )
     except (InputError, ValueError, TypeError, KeyError):
