@@ -53,6 +53,8 @@ def counters(pairs: list[float]) -> CounterStatistics:
         0.0,
         np.zeros(1),
         0.0,
+        0.0,
+        0.0,
     )
 
 
