@@ -31,7 +31,6 @@ from cassini_bayes.balance.telemetry_noise import (
     band_wheel_variances,
     couple_torques,
     covariance_beside_wheels,
-    late_covariance,
     late_variances,
     of_bands,
     open_counters,
@@ -144,7 +143,9 @@ def in_thrust_units(
         seen = np.flatnonzero(share[:, couple])
         whole = delivered[0][:, members] @ event.thrusts_n[members]
         weights[np.ix_(seen, members)] = (share[seen, couple] / whole[seen])[:, None]
-    rows, of_body = np.where(is_pushed, _answered_rows(event, physics, parameters), 0.0)
+    of_body = _body_share(event, physics) * variance.sum(axis=1)
+    answered_rows = _answered_rows(event, physics, parameters, of_body)
+    rows, of_body = np.where(is_pushed, answered_rows, 0.0)
     answered = Answered(rows - of_body, weights, of_body, _log_per_rate(physics)[0])
     return replace(event, answered=answered)
 
@@ -212,12 +213,12 @@ def _at_reference(event: TelemetryBalance, parameters: Mapping[str, Array]) -> d
 
 
 def _answered_rows(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
+    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], of_body: Array
 ) -> Array:
     """Rows (2, 3) about every axis: of noise that is not the channels', and of it the body's.
 
-    The former is what is late and the torque. Counted at one point (n = 1), where the event's slow
-    motion is flat, but for the constant.
+    The former is what is late and the torque, the latter has the variance ``of_body`` (3,). Counted
+    at one point (n = 1), where the event's slow motion is flat, but for the constant.
     """
     reference = _at_reference(event, parameters)
     of_channels, whole = (
@@ -225,7 +226,6 @@ def _answered_rows(
         for left_open in (NOTHING_OPEN.rows, event.nominally_open.rows)
     )
     by_torque = reference["torque_noise_n_m_s05"] ** 2
-    of_body = _body_noise(event, physics)
     bands = len(event.slow)
     modes = np.repeat(np.arange(bands), [band.rows for band in event.slow])
     noise = whole[modes] + np.outer(event.flat_rows.walk, by_torque)
@@ -239,18 +239,17 @@ def _answered_rows(
     return result
 
 
-def _body_noise(event: TelemetryBalance, physics: Physics) -> Array:
-    """What of the noise that is late the body itself has (3,), (N m s)²: less than none is more."""
+def _body_share(event: TelemetryBalance, physics: Physics) -> float:
+    """What of the noise that is late the body itself has, at one point (n = 1)."""
     counters = event.statistics.counters
     delay, rise, fall = (float(np.mean(tau)) for tau in physics.tau_s)
-    share = body_share(
+    return body_share(
         event.sampling.pulse_shape,
         (delay, rise, fall),
         counters.late_width_s,
         counters.late_first_s,
         counters.late_every_s,
     )
-    return np.asarray(share * np.diagonal(late_covariance(event, physics)[0]))
 
 
 def _log_per_rate(physics: Physics) -> Array:

@@ -275,7 +275,7 @@ def _with_rough_thrusts(model: Model) -> Model:
     # columns that effects may use have no weight yet, and are most of them
     collapsed = _collapse_at(without_idle(model), nominal)
     rough, _ = thrust_moments(wide.thrust_prior, collapsed.thrusts)
-    return _with_thrusts(model, np.maximum(rough[0], 0.0), nominal)
+    return _with_thrusts(model, np.maximum(rough[0], 0.0), nominal, nominal)
 
 
 def _with_likely_thrusts(model: Model) -> Model:
@@ -343,18 +343,14 @@ def _nominal(model: Model) -> Points:
     return model.points_at({**means, TORQUE_NOISE: np.zeros(1)}, 1)
 
 
-def _with_thrusts(
-    model: Model, thrusts_n: Array, nominal: Points, likely: Points | None = None
-) -> Model:
+def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points, likely: Points) -> Model:
     """The model whose telemetry has these thrusts (E', K), at the prior means (n = 1).
 
     Where rows have late pulses they are taken at what is ``likely`` (n = 1).
     """
     places = model.fired_of_term[len(model.totals) :]
     terms = [
-        term.with_thrusts(thrusts_n[fired][0], nominal, likely or nominal)
-        if term.event.fires
-        else term
+        term.with_thrusts(thrusts_n[fired][0], nominal, likely) if term.event.fires else term
         for term, fired in zip(model.telemetry, places, strict=True)
     ]
     return replace(model, telemetry=tuple(terms))

@@ -190,7 +190,8 @@ class TelemetryTerm:
         statistics = self.balance.statistics
         ends = dict(zip(statistics.layout.extra, statistics.extra_end, strict=True))
         for _, thruster, name in self.balance.pattern.brought:
-            effective[:, 0, thruster] += np.asarray(physics.extra.get(name, 0.0)) * ends[name]
+            if name in physics.extra:
+                effective[:, 0, thruster] += np.asarray(physics.extra[name]) * ends[name]
         return np.asarray(physics.arms_m * effective)
 
     def effective_s(self, physics: Physics, n: int) -> Array:

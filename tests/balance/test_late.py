@@ -346,7 +346,7 @@ def test_long_tails_do_not_draw_moments_of_inertia(monkeypatch: pytest.MonkeyPat
 
 def at_prior_means(model: Model, thrusts_n: Array, nominal: Points, _likely: Points) -> Model:
     """Nothing likelier is known than what the priors expect."""
-    return WITH_THRUSTS(model, thrusts_n, nominal)
+    return WITH_THRUSTS(model, thrusts_n, nominal, nominal)
 
 
 def thrust_errors(flights: Sequence[Flight]) -> Array:
@@ -451,7 +451,7 @@ def test_the_thrusts_part_of_the_measure_is_a_logarithm_to_second_order() -> Non
             values = np.array([[quadratic(own, common), exact(own)] for own in at])
             assert values[1, 0] == pytest.approx(values[1, 1], abs=1e-9)
             slope, curvature = values[2] - values[0], values[2] - 2.0 * values[1] + values[0]
-            assert slope[0] == pytest.approx(slope[1], rel=0.02)
+            assert slope[0] == pytest.approx(slope[1], rel=0.01)
             assert curvature[0] == pytest.approx(curvature[1], rel=0.02)
 
 

@@ -226,11 +226,11 @@ def test_sizes_are_those_of_the_pair_that_is_named(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(trials, "size_draws", drawn)
     alone = [weighed("leak", size=1.0), weighed("inertia", size=2.0), weighed(size=0.0)]
-    told = {
+    told: dict[str, Any] = {
         "leak+inertia": SimpleNamespace(weighed=alone, extended=weighed("leak", "inertia", size=3)),
         "leak": SimpleNamespace(weighed=alone, extended=alone[0]),
     }
     hidden = Hidden("inertia", {"size": 3.0}, 6.0)
     for name, mean, covers in (("leak+inertia", 3.0, True), ("leak", 2.0, False)):
-        (size,) = trials._sizes(told[name], hidden, np.random.default_rng(0))  # type: ignore[arg-type]
+        (size,) = trials._sizes(told[name], hidden, np.random.default_rng(0))
         assert (size["mean"], size["covers"]) == (mean, covers)

@@ -95,7 +95,7 @@ def late_pulses(
     age = np.concatenate([running, tail], axis=1)
     thrust = shape.thrust_fraction(age, width_s, *taus)
     delivered = cumulative_trapezoid(thrust, age, axis=1, initial=0.0)
-    late = np.minimum(age - width_s, 0.0) + shape.effective_time(width_s, *taus) - delivered
+    late = _due(age, width_s, shape.effective_time(width_s, *taus), delivered)
     moments = np.stack([trapezoid(late, age), trapezoid(late**2, age)], axis=1)
     fitted = np.linalg.lstsq(_basis(rises / rise, falls / fall), moments, rcond=None)[0]
     return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz, width_s)
@@ -132,11 +132,16 @@ def body_share(
     found = np.arange(first_s, end, every_s) if every_s > 0.0 else age
     whole = float(shape.effective_time(width_s, *tau_s))
     brought = np.interp(found, age, delivered)
-    late = np.minimum(found - width_s, 0.0) + whole - brought
+    late = _due(found, width_s, whole, brought)
     square = float(np.mean(late**2))
     if square < (LEAST_LATE * whole) ** 2:
         return 0.0
     return float(np.mean((0.5 * whole - brought) * late)) / square
+
+
+def _due(age_s: Array, width_s: float, whole_s: Array | float, delivered_s: Array) -> Array:
+    """What a pulse is credited with at some age, and has not delivered yet, s."""
+    return np.asarray(np.minimum(age_s - width_s, 0.0) + whole_s - delivered_s)
 
 
 def _basis(rise: Array, fall: Array) -> Array:

@@ -365,7 +365,7 @@ def reduce_chunks(
     turns, times, wheels = _Turns(layout, sampling), Thinned(), Thinned()
     wheel = slice(layout.wheel.start - len(layout.vector), layout.wheel.stop - len(layout.vector))
     extra_end = np.zeros(len(layout.extra))
-    extra = slice(layout.size - len(layout.vector) - len(layout.extra), None)
+    extra = slice(layout.extra_place.start - len(layout.vector), None)
     for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
