@@ -20,18 +20,23 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.kernel import log_of_flat_rows
+from cassini_bayes.balance.kernel import log_determinants, log_of_flat_rows, log_of_turns
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.channel_noise import ChannelNoise
 from cassini_bayes.balance.statistics.late import body_share
-from cassini_bayes.balance.telemetry_balance import NOTHING_OPEN, Answered, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import (
+    NOTHING_OPEN,
+    Answered,
+    Levels,
+    TelemetryBalance,
+)
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
-    band_wheel_variances,
     couple_torques,
     covariance_beside_wheels,
     late_variances,
+    levels_of,
     of_bands,
     open_counters,
     turn_noise,
@@ -46,7 +51,6 @@ LEAST_PUSH: Final = 0.05  # of what thrusters deliver at the nominal point: has 
 def log_measure(
     event: TelemetryBalance,
     physics: Physics,
-    parameters: Mapping[str, Array],
     by_turn: TurnNoise,
 ) -> Array:
     """Log determinants (n,) that take the density of the balance to that of the channels.
@@ -68,25 +72,21 @@ def log_measure(
     ----------
     physics
         The physics at n points.
-    parameters
-        Noise levels, name → (n,) array, of which those of the reference are replaced.
     by_turn
         The turns' noise at the noise levels of the points. (Its torque noise lacks the slowest
         cosines, which the likelihood has as unknowns; that of the measure is whole.)
     """
-    reference = _at_reference(event, parameters)
     growth = _body_growth(event, physics)
     physics = _of_size(physics, np.exp(-growth / 3.0))
-    result = _of_rows(event, physics, reference) + _count(event) * growth - event.log_unit
+    result = _of_rows(event, physics) + _count(event) * growth - event.log_unit
     if event.answered is not None:
         grown = _log_per_rate(physics) - event.answered.log_per_rate
         result = result + grown @ event.answered.body_rows
     if event.turns:
         walked = [band.walked_s3 for band in event.turns]
-        noise = turn_noise(event, physics, reference, event.nominally_open.turns, walked)
-        more = _log_det(np.eye(3) + by_turn.gain) - _log_det(np.eye(3) + noise.gain)
-        contrasts = np.array([band.contrasts for band in event.turns], dtype=np.float64)
-        result = result + (more + 0.5 * _log_det(noise.covariance)) @ contrasts
+        left_open = event.nominally_open.turns
+        noise = turn_noise(event, physics, _reference(event), left_open, walked)
+        result += log_of_turns(by_turn.gain, noise.gain, noise.covariance, event.contrasts)
     return result
 
 
@@ -116,15 +116,16 @@ def in_channel_units(
         log_unit=0.0,
         log_size=float(_log_det(physics.inertia_kg_m2)[0]),
         nominally_open=open_counters(event, physics),
+        reference=levels_of(event, _at_reference(event, parameters)),
     )
     nothing = np.zeros((1, len(event.turns), 3, 3))
-    flat = log_measure(event, physics, parameters, TurnNoise(nothing, nothing))
+    flat = log_measure(event, physics, TurnNoise(nothing, nothing))
     unit = flat - _count(event) * _log_det(physics.momentum_per_rate)
     return replace(event, log_unit=float(unit[0]))
 
 
 def in_thrust_units(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], delivered: Array
+    event: TelemetryBalance, physics: Physics, delivered: Array
 ) -> TelemetryBalance:
     """The same event with what thrusters answer, which is 1 at its thrusts and one point (n = 1).
 
@@ -144,7 +145,7 @@ def in_thrust_units(
         whole = delivered[0][:, members] @ event.thrusts_n[members]
         weights[np.ix_(seen, members)] = (share[seen, couple] / whole[seen])[:, None]
     of_body = _body_share(event, physics) * variance.sum(axis=1)
-    answered_rows = _answered_rows(event, physics, parameters, of_body)
+    answered_rows = _answered_rows(event, physics, of_body)
     rows, of_body = np.where(is_pushed, answered_rows, 0.0)
     answered = Answered(rows - of_body, weights, of_body, _log_per_rate(physics)[0])
     return replace(event, answered=answered)
@@ -212,20 +213,22 @@ def _at_reference(event: TelemetryBalance, parameters: Mapping[str, Array]) -> d
     return {**parameters, **fixed}
 
 
-def _answered_rows(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], of_body: Array
-) -> Array:
+def _reference(event: TelemetryBalance) -> Levels:
+    assert event.reference is not None  # in_channel_units has it
+    return event.reference
+
+
+def _answered_rows(event: TelemetryBalance, physics: Physics, of_body: Array) -> Array:
     """Rows (2, 3) about every axis: of noise that is not the channels', and of it the body's.
 
     The former is what is late and the torque, the latter has the variance ``of_body`` (3,). Counted
     at one point (n = 1), where the event's slow motion is flat, but for the constant.
     """
-    reference = _at_reference(event, parameters)
     of_channels, whole = (
-        np.diagonal(_band_noise(event, physics, reference, left_open)[0], axis1=-2, axis2=-1)
+        np.diagonal(_band_noise(event, physics, left_open)[0], axis1=-2, axis2=-1)
         for left_open in (NOTHING_OPEN.rows, event.nominally_open.rows)
     )
-    by_torque = reference["torque_noise_n_m_s05"] ** 2
+    by_torque = _reference(event).turns.torque
     bands = len(event.slow)
     modes = np.repeat(np.arange(bands), [band.rows for band in event.slow])
     noise = whole[modes] + np.outer(event.flat_rows.walk, by_torque)
@@ -257,25 +260,23 @@ def _log_per_rate(physics: Physics) -> Array:
     return np.log(np.abs(np.diagonal(physics.momentum_per_rate, axis1=-2, axis2=-1)))
 
 
-def _band_noise(
-    event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array], left_open: Array
-) -> Array:
+def _band_noise(event: TelemetryBalance, physics: Physics, left_open: Array) -> Array:
     """Covariance (n, S + F, 3, 3) of every band but for torque noise, (N m s)²."""
     wheels = event.wheel_weights(physics)[:, None]
-    variance = band_wheel_variances(event, reference)[:, :, None]
-    white = band_covariances(event, physics, reference, left_open)
+    variance = _reference(event).wheels[:, :, None]
+    white = band_covariances(event, physics, _reference(event), left_open)
     return np.asarray(white + (wheels * variance) @ np.swapaxes(wheels, -1, -2))
 
 
-def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, Array]) -> Array:
+def _of_rows(event: TelemetryBalance, physics: Physics) -> Array:
     """The part of the rows."""
-    flat, left_open = event.flat_rows, event.nominally_open.rows
+    flat, left_open, levels = event.flat_rows, event.nominally_open.rows, _reference(event)
     result = log_of_flat_rows(
-        covariance_beside_wheels(event, physics, reference),
+        covariance_beside_wheels(event, physics, levels),
         of_bands(left_open, len(event.slow) + len(event.fast)),
         np.ascontiguousarray(event.wheel_weights(physics)),
-        band_wheel_variances(event, reference),
-        reference["torque_noise_n_m_s05"] ** 2,
+        levels.wheels,
+        levels.turns.torque,
         flat,
     )
     others = event.statistics.rows - flat.first[-1] - flat.rows.sum()
@@ -283,10 +284,5 @@ def _of_rows(event: TelemetryBalance, physics: Physics, reference: Mapping[str, 
 
 
 def _log_det(matrices: Array) -> Array:
-    """Log of |determinant| of matrices (…, 3, 3), written out: a call for each costs more."""
-    a, b, c = (matrices[..., row, :] for row in range(3))
-    result = sum(
-        a[..., i] * (b[..., i - 2] * c[..., i - 1] - b[..., i - 1] * c[..., i - 2])
-        for i in range(3)
-    )
-    return np.asarray(np.log(np.abs(result)))
+    """Log of |determinant| (n,) of matrices (n, 3, 3)."""
+    return log_determinants(np.ascontiguousarray(matrices))

@@ -24,9 +24,10 @@ LEAST_SQUARE: Final = 1e-18  # rad²/s², or of the noise: wheels not measured t
 _LEAST_SPREAD: Final = 1e-14  # of the noise in a mean square: all the rest is motion
 _SWEEPS: Final = 30  # Jacobi converges quadratically: more than any small matrix needs
 _TURNED: Final = 1e-15  # of the geometric mean of two diagonal elements
-_TOGETHER: Final = 4  # points that share what is read of a Gram matrix
+_TOGETHER: Final = 16
+"""Points that share what is read of a Gram matrix, and the operations of vectors: of eight of them
+the compiler makes no vectors, and they take three times as long; more gain nothing."""
 _TILE: Final = 4  # rows whose inner products are taken together
-FILLED: Final = 8  # numbers of which the last side of Gram matrices is a multiple: vectors
 
 
 class Entries(NamedTuple):
@@ -55,7 +56,7 @@ class FastBands(NamedTuple):
     said of it.
     """
 
-    grams: Array  # (F, B, 3, 3, B′): what a column needs lies together, zeros from B on
+    grams: Array  # (F, B, 3, 3, B): what a column needs lies together
     rows: Array  # (F,)
     walk: Array  # (F,) s
     nodes: Array  # (F, T)
@@ -71,7 +72,7 @@ class Turns(NamedTuple):
 
     projection: Array  # (3, B, M)
     first: Places  # (S + 1,)
-    grams: Array  # (T − S, B, 3, 3, B′)
+    grams: Array  # (T − S, B, 3, 3, B)
     contrasts: Array  # (T,)
 
 
@@ -480,6 +481,49 @@ def turn_covariances(
 
 
 @compiled_sums
+def summed_over_couples(torque: Array, square: Array) -> Array:  # pragma: no cover - compiled
+    """Covariances Σ_g v_bg T_g T_gᵀ (n, B, 3, 3) of torques (n, 3, G) with variances (n, B, G)."""
+    n, bands, couples = square.shape
+    result = np.empty((n, bands, 3, 3))
+    for i in range(n):
+        for band in range(bands):
+            for c in range(3):
+                for d in range(c + 1):
+                    value = 0.0
+                    for g in range(couples):
+                        value += square[i, band, g] * torque[i, c, g] * torque[i, d, g]
+                    result[i, band, c, d] = result[i, band, d, c] = value
+    return result
+
+
+@compiled_sums
+def turned_weights(
+    gyro: Array, inertia: Array, gain: Array
+) -> Array:  # pragma: no cover - compiled
+    """Weights (n, T, G + 3, 3) of integrated columns: of the gyro's −w Qᵀ, of turns (1 + Q) I.
+
+    ``gyro`` (n, G, 3) are its weights w in rows, ``inertia`` (n, 3, 3), and ``gain`` (n, T, 3, 3)
+    Q (:func:`.telemetry_weights.turn_weights`).
+    """
+    n, bands, count = len(gain), gain.shape[1], gyro.shape[1]
+    result = np.empty((n, bands, count + 3, 3))
+    for i in range(n):
+        for t in range(bands):
+            for c in range(3):
+                for g in range(count):
+                    value = 0.0
+                    for k in range(3):
+                        value -= gain[i, t, c, k] * gyro[i, g, k]
+                    result[i, t, g, c] = value
+                for j in range(3):
+                    value = inertia[i, c, j]
+                    for k in range(3):
+                        value += gain[i, t, c, k] * inertia[i, k, j]
+                    result[i, t, count + j, c] = value
+    return result
+
+
+@compiled_sums
 def log_of_flat_rows(
     white: Array, left_open: Array, wheels: Array, variance: Array, torque: Array, flat: FlatRows
 ) -> Array:  # pragma: no cover - compiled
@@ -532,6 +576,50 @@ def log_of_flat_rows(
             _add_wheels(beside, variance[noise, place], own, own, covariance)
             result[i] += flat.rows[f] * _factor(covariance, spare)
     return result
+
+
+@compiled_sums
+def log_determinants(matrices: Array) -> Array:  # pragma: no cover - compiled
+    """Log of |determinant| (n,) of matrices (n, 3, 3)."""
+    result = np.empty(len(matrices))
+    for i in range(len(matrices)):
+        result[i] = _log_determinant(matrices[i])
+    return result
+
+
+@compiled_sums
+def log_of_turns(
+    gain: Array, at_reference: Array, covariance: Array, contrasts: Array
+) -> Array:  # pragma: no cover - compiled
+    """Σ_t c_t [log |det (1 + Q)(1 + Q₀)⁻¹| + ½ log det Σ̃] (n,) over bands of turns.
+
+    Q is the ``gain`` (n, T, 3, 3) of turns, Q₀ that at the reference noise, Σ̃ the ``covariance``
+    there, c the ``contrasts`` (T,) (:func:`.flat_motion.log_measure`). Of each there may be one for
+    all points.
+    """
+    n = max(len(gain), len(at_reference))
+    result, more = np.zeros(n), np.empty((3, 3))
+    for i in range(n):
+        own, reference = min(i, len(gain) - 1), min(i, len(at_reference) - 1)
+        for t in range(contrasts.size):
+            value = 0.5 * _log_determinant(covariance[reference, t])
+            for sign, which in ((1.0, gain[own, t]), (-1.0, at_reference[reference, t])):
+                for c in range(3):
+                    for d in range(3):
+                        more[c, d] = which[c, d] + (1.0 if c == d else 0.0)
+                value += sign * _log_determinant(more)
+            result[i] += contrasts[t] * value
+    return result
+
+
+@compiled_sums
+def _log_determinant(matrix: Array) -> float:  # pragma: no cover - compiled
+    """Log of |determinant| of a matrix (3, 3)."""
+    value = 0.0
+    for i in range(3):
+        minor = matrix[1, i - 2] * matrix[2, i - 1] - matrix[1, i - 1] * matrix[2, i - 2]
+        value += matrix[0, i] * minor
+    return float(np.log(np.abs(value)))
 
 
 @compiled_sums
@@ -859,41 +947,60 @@ def _contract(
 ) -> None:  # pragma: no cover - compiled
     """Add the inner products Σ_t y_k(t)ᵀ W y_l(t) of a band to lower triangles (m, P, P).
 
-    For m points, of weights (m, B, 3) and matrices W (≥ m, 3, 3). Only new columns from the
-    ``first`` on are in the band. All nine products of axes are written out: a sum is read and
-    written once for them.
+    For m points, sixteen at most, of weights (m, B, 3) and matrices W (≥ m, 3, 3). Only new columns
+    from the ``first`` on are in the band. Points lie side by side, so that one operation is for
+    several; places of points that are not there have zeros. All nine products of axes are written
+    out: a sum is read and written once for them.
     """
     start, size, points = entries.start, gram.shape[0], len(used)
-    filled = gram.shape[3]
-    by_axis, products = np.zeros((points, 3, filled)), np.empty((points, filled))
+    weight, white = np.zeros((size, 3, _TOGETHER)), np.zeros((3, 3, _TOGETHER))
+    by = np.empty((3, 3, _TOGETHER))
+    products, total = np.empty((size, _TOGETHER)), np.empty(_TOGETHER)
     for p in range(points):
-        for b in range(size):
-            for c in range(3):
-                by_axis[p, c, b] = used[p, b, c]
+        for c in range(3):
+            for d in range(3):
+                white[c, d, p] = precision[p, c, d]
+            for b in range(size):
+                weight[b, c, p] = used[p, b, c]
     for k in range(first, start.size - 1):
-        end = min(_filled(start[k + 1], FILLED), filled)
-        products[:, :end] = 0.0
+        products[: start[k + 1]] = 0.0
         for b in range(start[k], start[k + 1]):
             if gram[b, 0, 0, b] == 0.0 and gram[b, 1, 1, b] == 0.0 and gram[b, 2, 2, b] == 0.0:
                 continue  # zero in this band: cut tails in quiet pieces, turns in rows
             own = gram[b]
-            for p in range(points):
-                one, at, w = by_axis[p], used[p, b], precision[p]
-                xx, xy, xz = w[0, 0] * at[0], w[0, 1] * at[1], w[0, 2] * at[2]
-                yx, yy, yz = w[1, 0] * at[0], w[1, 1] * at[1], w[1, 2] * at[2]
-                zx, zy, zz = w[2, 0] * at[0], w[2, 1] * at[1], w[2, 2] * at[2]
-                for a in range(end):
-                    products[p, a] += (
-                        one[0, a] * (xx * own[0, 0, a] + xy * own[1, 0, a] + xz * own[2, 0, a])
-                        + one[1, a] * (yx * own[0, 1, a] + yy * own[1, 1, a] + yz * own[2, 1, a])
-                        + one[2, a] * (zx * own[0, 2, a] + zy * own[1, 2, a] + zz * own[2, 2, a])
+            for c in range(3):
+                for d in range(3):
+                    for p in range(_TOGETHER):
+                        by[c, d, p] = white[c, d, p] * weight[b, d, p]
+            for a in range(start[k + 1]):
+                for p in range(_TOGETHER):
+                    products[a, p] += (
+                        weight[a, 0, p]
+                        * (
+                            by[0, 0, p] * own[0, 0, a]
+                            + by[0, 1, p] * own[1, 0, a]
+                            + by[0, 2, p] * own[2, 0, a]
+                        )
+                        + weight[a, 1, p]
+                        * (
+                            by[1, 0, p] * own[0, 1, a]
+                            + by[1, 1, p] * own[1, 1, a]
+                            + by[1, 2, p] * own[2, 1, a]
+                        )
+                        + weight[a, 2, p]
+                        * (
+                            by[2, 0, p] * own[0, 2, a]
+                            + by[2, 1, p] * own[1, 2, a]
+                            + by[2, 2, p] * own[2, 2, a]
+                        )
                     )
-        for p in range(points):
-            for before in range(first, k + 1):
-                value = 0.0
-                for b in range(start[before], start[before + 1]):
-                    value += products[p, b]
-                normal[p, k, before] += value
+        for before in range(first, k + 1):
+            total[:] = 0.0
+            for b in range(start[before], start[before + 1]):
+                for p in range(_TOGETHER):
+                    total[p] += products[b, p]
+            for p in range(points):
+                normal[p, k, before] += total[p]
 
 
 @compiled_sums

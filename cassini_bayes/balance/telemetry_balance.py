@@ -21,7 +21,7 @@ import numpy as np
 
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import (
-    FILLED,
+    ChannelNoise,
     Entries,
     FastBands,
     FlatRows,
@@ -187,6 +187,18 @@ class OpenCounters(NamedTuple):
     turns: Array  # (n, T, 3, 3), (N m s²)²
 
 
+class Levels(NamedTuple):
+    """Variances of an event's channels at n points, for rows and turns; of each n, or one for all.
+
+    Rates and attitudes are of one row: their rounding and what means leave of them are in them.
+    """
+
+    rate: Array  # (n,) of a measured body rate, rad²/s²
+    attitude: Array  # (n,), rad²
+    wheels: Array  # (n, S + F, W) of measured wheel rates, by band, rad²/s²
+    turns: ChannelNoise
+
+
 class Answered(NamedTuple):
     """What thrusters answer of an event's noise, about every axis.
 
@@ -214,8 +226,9 @@ class TelemetryBalance:
     ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
     is a constant of unit length on the slow modes; ``log_unit``, ``log_size`` (log |det I| at
-    the prior means), ``nominally_open``, what counters leave open there, and ``answered`` belong
-    to the measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are
+    the prior means), ``nominally_open``, what counters leave open there, ``reference``, channels at
+    the reference noise (n = 1), and ``answered`` belong to the measure of flat motion, which sets
+    them (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are
     the event's thrusts to some percent: they size what counters leave open, and place the slow
     modes. ``late`` and ``answered`` are of rows that have late pulses.
     """
@@ -238,6 +251,7 @@ class TelemetryBalance:
     log_unit: float = 0.0
     log_size: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
+    reference: Levels | None = None
     answered: Answered | None = None
 
     @property
@@ -260,8 +274,7 @@ class TelemetryBalance:
         return found
 
     def _compiled_bands(self) -> CompiledBands:
-        contrasts = np.array([band.contrasts for band in self.turns], dtype=np.int64)
-        first = np.r_[0, np.cumsum(contrasts)]
+        first = np.r_[0, np.cumsum([band.contrasts for band in self.turns], dtype=np.int64)]
         first = first[first <= self.products.slopes.shape[2]]
         products, columns = self.products, self.reduced.entered
         slow = SlowBands(
@@ -282,7 +295,7 @@ class TelemetryBalance:
             np.ascontiguousarray(products.slopes[:, columns]),
             first,
             _by_column(products.turns[len(first) - 1 :], columns),
-            contrasts.astype(np.float64),
+            self.contrasts,
         )
         return CompiledBands(slow, fast, turns)
 
@@ -326,6 +339,11 @@ class TelemetryBalance:
             np.array([band.summed_s2 for band in self.turns]),
             np.array(rounded).reshape(len(rounded), HARMONICS, len(self.wheel_places)),
         )
+
+    @cached_property
+    def contrasts(self) -> Array:
+        """Contrasts (T,) of every band of turns."""
+        return np.array([float(band.contrasts) for band in self.turns])
 
     @property
     def fires(self) -> bool:
@@ -417,8 +435,12 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     # of the measure, whose reference noise may have torque noise
     walk = np.array([sum(band.rows * band.walk.mean() for band in event.fast) / rows])
     products, nominally_open = event.products, event.nominally_open
+    reference = event.reference
+    if reference is not None:
+        reference = reference._replace(wheels=reference.wheels[:, : 1 + len(event.slow)])
     return replace(
         event,
+        reference=reference,
         fast=(replace(first, rows=rows, walk=walk, faster=walk),),
         products=replace(products, grams=products.grams.sum(axis=0, keepdims=True)),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, : 1 + len(event.slow)]),
@@ -426,14 +448,14 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
 
 
 def _by_column(grams: Array, columns: Places) -> Array:
-    """Gram matrices (F, 3, 3, A, A) of some B columns, as (F, B, 3, 3, B′).
+    """Gram matrices (F, 3, 3, A, A) of some B columns, as (F, B, 3, 3, B).
 
-    What a column needs lies together; zeros from B on fill lines up (:data:`FILLED`).
+    What a column needs lies together.
     """
     count = len(columns)
-    result = np.zeros((len(grams), count, 3, 3, -(-count // FILLED) * FILLED))
+    result = np.empty((len(grams), count, 3, 3, count))
     for place, column in enumerate(columns):
-        result[:, place, :, :, :count] = grams[:, :, :, column].take(columns, axis=-1)
+        result[:, place] = grams[:, :, :, column].take(columns, axis=-1)
     return result
 
 

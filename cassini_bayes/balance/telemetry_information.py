@@ -20,6 +20,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import Products, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
+    levels_of,
     open_counters,
     turn_noise,
     wheel_covariance,
@@ -65,8 +66,8 @@ def row_information(
     parameters = {**parameters, **_noise_seen(event, products, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
-    left_open = open_counters(event, physics)
-    with_open = band_covariances(event, physics, parameters, left_open.rows)[0]
+    left_open, of_channels = open_counters(event, physics), levels_of(event, parameters)
+    with_open = band_covariances(event, physics, of_channels, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
     weights = balance_weights(event, physics)
     columns = np.r_[walk, _columns(event, weights, mean, own_sd, levels, step)]
@@ -83,7 +84,7 @@ def row_information(
         square = partial(_of_gram, gram)
         total = total + _whitened(event, band, columns, noise, nominal, square)
     faster = [band.faster_s3 for band in event.turns]
-    by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
+    by_turn = turn_noise(event, physics, of_channels, left_open.turns, faster)
     # how much of both is weighed against each other is no effect of a parameter
     gain = np.repeat(by_turn.gain[:1], len(weights), axis=0)
     turned = np.repeat(weights[:, None], gain.shape[1], axis=1)

@@ -11,13 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.kernel import ChannelNoise, turn_covariances
+from cassini_bayes.balance.kernel import ChannelNoise, summed_over_couples, turn_covariances
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
 from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
-from cassini_bayes.balance.telemetry_balance import OpenCounters, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import Levels, OpenCounters, TelemetryBalance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -36,7 +36,7 @@ def noise_covariance(
     estimated.
     """
     of_wheels = wheel_covariance(event, physics, parameters, kept)
-    other = covariance_beside_wheels(event, physics, parameters)
+    other = covariance_beside_wheels(event, physics, levels_of(event, parameters))
     return np.asarray(other + of_wheels + late_covariance(event, physics))
 
 
@@ -58,16 +58,22 @@ def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
     return _wheel_variances(event, parameters, event.wheels, lasting_shares(event, parameters))
 
 
-def rate_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n,) of a measured body rate, its rounding included, rad²/s²."""
-    rounding = event.statistics.steps.rate_rad_s**2 / 12.0
-    white = parameters["rate_noise_rad_s"] ** 2 + rounding
-    return np.asarray(white / event.statistics.counters.averaged)
-
-
-def band_wheel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
-    """Variance (n, S + F, W) of measured wheel rates by band, rad²/s²: rounding is not white."""
-    return _wheel_variances(event, parameters, event.band_wheels, lasting_shares(event, parameters))
+def levels_of(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Levels:
+    """Variances of all channels; of wheel rates by band, as their rounding is not white."""
+    statistics, shares = event.statistics, lasting_shares(event, parameters)
+    averaged = statistics.counters.averaged
+    rounding = statistics.steps.rate_rad_s**2 / 12.0
+    rate = (parameters["rate_noise_rad_s"] ** 2 + rounding) / averaged
+    attitude = parameters["attitude_noise_rad"] ** 2
+    of_turns = ChannelNoise(
+        np.maximum(rate, LEAST_RATE_RAD_S**2),
+        attitude,
+        _white_variances(event, parameters, event.wheels, shares),
+        statistics.steps.wheel_rad_s**2 / 12.0 * shares,
+        parameters["torque_noise_n_m_s05"] ** 2,
+    )
+    wheels = _wheel_variances(event, parameters, event.band_wheels, shares)
+    return Levels(rate, attitude / averaged, wheels, of_turns)
 
 
 def _wheel_variances(
@@ -101,26 +107,22 @@ def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
     return coherent_shares(noise * RAD_S_PER_RPM / step)
 
 
-def covariance_beside_wheels(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array]
-) -> Array:
+def covariance_beside_wheels(event: TelemetryBalance, physics: Physics, levels: Levels) -> Array:
     """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
     by_rate = physics.momentum_per_rate
-    rate = rate_variance(event, parameters)[:, None, None]
-    attitude = parameters["attitude_noise_rad"][:, None, None] ** 2
-    attitude = attitude / event.statistics.counters.averaged
+    rate, attitude = levels.rate[:, None, None], levels.attitude[:, None, None]
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
 
 
 def band_covariances(
-    event: TelemetryBalance, physics: Physics, parameters: Mapping[str, Array], left_open: Array
+    event: TelemetryBalance, physics: Physics, levels: Levels, left_open: Array
 ) -> Array:
     """Covariance (n, S + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
 
     What counters leave open is slower than the rows: ``left_open`` (:class:`OpenCounters`) differs
     by band.
     """
-    white = covariance_beside_wheels(event, physics, parameters)
+    white = covariance_beside_wheels(event, physics, levels)
     return np.ascontiguousarray(white[:, None] + left_open)
 
 
@@ -140,7 +142,7 @@ class TurnNoise:
 def turn_noise(
     event: TelemetryBalance,
     physics: Physics,
-    parameters: Mapping[str, Array],
+    levels: Levels,
     left_open: Array,
     torque_s3: Sequence[float],
 ) -> TurnNoise:
@@ -156,19 +158,11 @@ def turn_noise(
     ``torque_s3`` (T,) what of a unit random walk is in the noise of every band
     (:class:`.TurnBand`).
     """
-    shares = lasting_shares(event, parameters)
-    noise = ChannelNoise(
-        np.maximum(rate_variance(event, parameters), LEAST_RATE_RAD_S**2),
-        parameters["attitude_noise_rad"] ** 2,
-        _white_variances(event, parameters, event.wheels, shares),
-        event.statistics.steps.wheel_rad_s**2 / 12.0 * shares,
-        parameters["torque_noise_n_m_s05"] ** 2,
-    )
     gain, covariance = turn_covariances(
         np.ascontiguousarray(physics.momentum_per_rate),
         np.ascontiguousarray(physics.inertia_kg_m2),
         np.ascontiguousarray(event.wheel_weights(physics)),
-        noise,
+        levels.turns,
         of_bands(left_open, len(event.turns)),
         event.turn_sums,
         np.asarray(torque_s3, dtype=np.float64),
@@ -218,8 +212,7 @@ def open_counters(
     if event.fires and own:
         scales = scales or open_scales(event, physics)
         square = scales.variance_s2(own.pairs, own.columns)
-        torque = scales.torque_n_m[:, None]
-        result = (torque * square[:, :, None]) @ np.swapaxes(torque, -1, -2)
+        result = summed_over_couples(np.ascontiguousarray(scales.torque_n_m), square)
     late = late_covariance(event, physics)[:, None]
     return OpenCounters(result[:, :of_rows] + late, result[:, of_rows:])
 

@@ -19,7 +19,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
-    band_wheel_variances,
+    levels_of,
     open_counters,
     open_scales,
     turn_noise,
@@ -72,19 +72,20 @@ def event_system(
     """
     n, k = len(physics.inertia_kg_m2), event.pattern.thrusters
     reduced, bands = event.reduced, event.bands
+    levels = levels_of(event, parameters)
     scales = open_scales(event, physics)
     weights = balance_weights(event, physics, scales=scales)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
     left_open = open_counters(event, physics, scales)
     faster = [band.faster_s3 for band in event.turns]
-    by_turn = turn_noise(event, physics, parameters, left_open.turns, faster)
+    by_turn = turn_noise(event, physics, levels, left_open.turns, faster)
     walk = walk_weights(event, parameters)
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
-        band_covariances(event, physics, parameters, left_open.rows),
-        band_wheel_variances(event, parameters),
-        parameters["torque_noise_n_m_s05"] ** 2,
+        band_covariances(event, physics, levels, left_open.rows),
+        levels.wheels,
+        levels.turns.torque,
         by_turn.covariance,
     )
     normals = walk.shape[1]
@@ -107,7 +108,7 @@ def event_system(
     )
     if normals > 0:
         normal, log_scale = without_first(normal, normals, log_scale)
-    log_scale += log_measure(event, physics, parameters, by_turn)
+    log_scale += log_measure(event, physics, by_turn)
     # of the channels' densities: rates and wheels of every row, turns of every contrast
     contrasts = sum(band.contrasts for band in event.turns)
     channels = event.statistics.rows * (3 + len(event.wheel_places)) + 3 * contrasts

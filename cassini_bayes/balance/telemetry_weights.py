@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.kernel import turned_weights
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, walk_scales
@@ -86,10 +87,9 @@ def turn_weights(event: TelemetryBalance, physics: Physics, weights: Array, gain
     other tells the error of each: (1 + Q) I Θ − Q I (∫ω_m dt − ∫b dt)/(1 + s) + all else.
     """
     # in rows they are those of the gyro's momentum, per rate and per its bias
-    of_gyro = weights[:, None, event.pattern.turned[:4]]
-    inertia = physics.inertia_kg_m2[:, None]
-    turned = np.swapaxes(inertia + gain @ inertia, -1, -2)
-    return np.concatenate([-of_gyro @ np.swapaxes(gain, -1, -2), turned], axis=2)
+    of_gyro = weights[:, event.pattern.turned[:4]]
+    inertia = np.ascontiguousarray(physics.inertia_kg_m2)
+    return turned_weights(of_gyro, inertia, np.ascontiguousarray(gain))
 
 
 def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Array:
@@ -99,6 +99,8 @@ def walk_weights(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Ar
     noises would seem to tell the same thing independently (docs/topics/telemetry-likelihood.md §8).
     """
     cosines = len(event.reduced.walk) // 3
+    if cosines == 0:
+        return np.zeros((len(parameters["torque_noise_n_m_s05"]), 0, 3))
     scale = np.repeat(walk_scales(event.statistics.duration_s, cosines)[1:], 3)
     return np.multiply.outer(parameters["torque_noise_n_m_s05"], np.tile(scale[:, None], 3))
 

@@ -179,7 +179,7 @@ class TelemetryTerm:
         physics, parameters = self.physics(likely), likely.parameters
         balance = in_channel_units(with_likely_noise(balance, parameters), physics, parameters)
         delivered = self.delivered(physics, 1)
-        return replace(self, balance=in_thrust_units(balance, physics, parameters, delivered))
+        return replace(self, balance=in_thrust_units(balance, physics, delivered))
 
     def delivered(self, physics: Physics, n: int) -> Array:
         """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N.

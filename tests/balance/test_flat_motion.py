@@ -27,6 +27,7 @@ from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
+    levels_of,
     open_counters,
     turn_noise,
 )
@@ -114,7 +115,7 @@ def noise_of_turns(
     """As a likelihood call has it, or with the whole of the torque noise."""
     left_open = open_counters(balance, physics).turns
     walked = [band.walked_s3 if whole else band.faster_s3 for band in balance.turns]
-    return turn_noise(balance, physics, values, left_open, walked)
+    return turn_noise(balance, physics, levels_of(balance, values), left_open, walked)
 
 
 def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
@@ -132,7 +133,7 @@ def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
         values |= {name: np.array([value]) for name, value in slew.sampling.reference_noise}
         physics = physics_of(model.spacecraft, "B", values, fires=False)
         by_turn = noise_of_turns(balance, physics, values)
-        measured = log_measure(balance, physics, values, by_turn)
+        measured = log_measure(balance, physics, by_turn)
         logs.append((measured[0], np.linalg.slogdet(physics.inertia_kg_m2)[1][0]))
     (before, inertia), (after, larger) = logs
     count = slew.statistics.rows - 1 + sum(band.contrasts for band in balance.turns)
@@ -156,8 +157,8 @@ def test_pulses_are_no_part_of_the_measure() -> None:
         left_open = open_counters(balance, physics)
         noise = noise_of_turns(balance, physics, point)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
-        found.append(float(log_measure(balance, physics, point, unmixed)[0]))
-        rows = band_covariances(balance, physics, point, left_open.rows)
+        found.append(float(log_measure(balance, physics, unmixed)[0]))
+        rows = band_covariances(balance, physics, levels_of(balance, point), left_open.rows)
         noises.append(np.linalg.slogdet(rows[0, 0])[1])
     assert noises[1] - noises[0] > 0.1  # cut tails are seen in these rows
     assert found[0] == found[1]
@@ -181,7 +182,7 @@ def test_the_measure_has_the_degree_of_the_rows_in_the_common_scale() -> None:
         physics = physics_of(model.spacecraft, "B", values, fires=False)
         noise = noise_of_turns(balance, physics, values, whole=True)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
-        measures.append(float(log_measure(balance, physics, values, unmixed)[0]))
+        measures.append(float(log_measure(balance, physics, unmixed)[0]))
         noises.append(0.5 * np.linalg.slogdet(noise.covariance[0, 0])[1])
     count = slew.statistics.rows - 1 + sum(band.contrasts for band in balance.turns)
     assert measures[1] - measures[0] == pytest.approx(3.0 * count * np.log(1.3), rel=1e-9)
@@ -207,7 +208,6 @@ def test_flat_wheel_or_body_rates_draw_the_inertia(
     def measure(
         event: TelemetryBalance,
         physics: Physics,
-        parameters: Mapping[str, Array],
         by_turn: TurnNoise,
     ) -> Any:
         contrasts = np.array([band.contrasts for band in event.turns])

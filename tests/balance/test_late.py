@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -383,7 +383,7 @@ def test_thrusts_are_not_too_small_where_thrusters_push_to_and_fro(
 
 
 def without_thrusts(
-    event: TelemetryBalance, _physics: Physics, _parameters: Mapping[str, Array], _delivered: Array
+    event: TelemetryBalance, _physics: Physics, _delivered: Array
 ) -> TelemetryBalance:
     """Thrusters answer nothing."""
     return event
@@ -462,10 +462,7 @@ def test_an_axis_that_nothing_pushes_has_no_part_in_the_measure() -> None:
     points = model.points(z[None])
     physics = term.physics(points)
     flat = replace(physics, arms_m=physics.arms_m * np.array([0.0, 1.0, 1.0])[:, None])
-    found = [
-        in_thrust_units(term.balance, own, points.parameters, term.delivered(own, 1))
-        for own in (physics, flat)
-    ]
+    found = [in_thrust_units(term.balance, own, term.delivered(own, 1)) for own in (physics, flat)]
     (rows, weights, *_), (flat_rows, flat_weights, *_) = (own.answered for own in found)
     assert flat_rows.tolist() == [0.0, *rows[1:]]
     assert np.all(flat_weights[0] == 0.0)

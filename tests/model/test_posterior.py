@@ -53,19 +53,19 @@ def test_fast_likelihood_equals_the_plain_one(seed: int) -> None:
 
 
 def test_points_do_not_depend_on_what_is_worked_out_with_them() -> None:
-    """Batches of one to four and of more: kernels take four points at a time.
+    """Batches of one to sixteen and of more: kernels take sixteen points at a time.
 
     Products of matrices round otherwise by their shape, and sums of squares cancel: 8e-12 at most
     in twenty such models.
     """
     rng = np.random.default_rng(8)
     model = model_of([made_up_samples(rng, 300), made_up_samples(rng, 120, fires=False)])
-    z = 0.5 * model.space.sample(rng, 7)
+    z = 0.5 * model.space.sample(rng, 19)
     together = log_likelihood(model, z)
     alone = [log_likelihood(model, point[None])[0] for point in z]
     assert np.isfinite(together).all()
     assert together == pytest.approx(alone, rel=3e-11, abs=0.0)
-    for first in (2, 3, 5):
+    for first in (2, 3, 5, 15):
         assert log_likelihood(model, z[first:]) == pytest.approx(alone[first:], rel=3e-11, abs=0.0)
 
 
