@@ -26,7 +26,6 @@ from cassini_bayes.balance.statistics import (
 )
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -347,6 +346,20 @@ def _others(usual: tuple[float, ...], smooth: float) -> dict[int, dict[int, floa
     return found
 
 
+def plain_gains(width: float, rise: float, fall: float) -> list[float]:
+    """What a pulse gains over the reference, over a range of time constants."""
+    some = [(a * rise, b * fall) for a in np.linspace(0.6, 1.4, 9) for b in np.linspace(0.2, 2, 7)]
+    return [plain_tail(width, a, b) - plain_tail(width, rise, fall) for a, b in some]
+
+
+@lru_cache(maxsize=8192)  # the same at all time constants, of which there are many
+def plain_shares(nodes: tuple[float, ...], width: float, rise: float, fall: float) -> Array:
+    """Which sum of what pulses of the few widths gain fits best what this one does."""
+    at_nodes = np.array([plain_gains(node, rise, fall) for node in nodes]).T
+    gains = np.array(plain_gains(width, rise, fall))
+    return np.asarray(np.linalg.lstsq(at_nodes, gains, rcond=None)[0])
+
+
 class PlainPulses:
     """Effective on-time of pulses (first_order) at given time constants, one at a time.
 
@@ -359,29 +372,15 @@ class PlainPulses:
         self.smooth = np.hypot(1.5e-3, sampling.unsure_s)
         _, self.rise, self.fall = sampling.pulse_reference_s
         long = min(sampling.widths_s, default=0.0) >= 0.12
-        self.nodes = [float(np.median(sampling.widths_s))] if long else list(WIDTHS_S)
+        self.nodes = (float(np.median(sampling.widths_s)),) if long else tuple(WIDTHS_S)
         self.known: dict[float, float] = {}
         self.scattered: dict[tuple[float, float], float] = {}
-
-    @cached_property
-    def at_nodes(self) -> Array:
-        """What pulses of the few widths gain."""
-        return np.array([self.gains(node) for node in self.nodes]).T
-
-    def gains(self, width: float) -> list[float]:
-        """What a pulse gains over the reference, over a range of time constants."""
-        some = [
-            (a * self.rise, b * self.fall)
-            for a in np.linspace(0.6, 1.4, 9)
-            for b in np.linspace(0.2, 2, 7)
-        ]
-        return [plain_tail(width, a, b) - plain_tail(width, self.rise, self.fall) for a, b in some]
 
     def fitted(self, width: float) -> float:
         """Effective on-time of one pulse."""
         if width in self.known:
             return self.known[width]
-        shares = np.linalg.lstsq(self.at_nodes, np.array(self.gains(width)), rcond=None)[0]
+        shares = plain_shares(self.nodes, width, self.rise, self.fall)
         gained = [
             plain_tail(node, self.tau[1], self.tau[2]) - plain_tail(node, self.rise, self.fall)
             for node in self.nodes
