@@ -27,16 +27,16 @@ from cassini_bayes.balance.statistics.late import body_share
 from cassini_bayes.balance.telemetry_balance import (
     NOTHING_OPEN,
     Answered,
-    Levels,
+    ChannelVariances,
     TelemetryBalance,
 )
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
+    channel_variances,
     couple_torques,
     covariance_beside_wheels,
     late_variances,
-    levels_of,
     of_bands,
     open_counters,
     turn_noise,
@@ -116,7 +116,7 @@ def in_channel_units(
         log_unit=0.0,
         log_size=float(_log_det(physics.inertia_kg_m2)[0]),
         nominally_open=open_counters(event, physics),
-        reference=levels_of(event, _at_reference(event, parameters)),
+        reference=channel_variances(event, _at_reference(event, parameters)),
     )
     nothing = np.zeros((1, len(event.turns), 3, 3))
     flat = log_measure(event, physics, TurnNoise(nothing, nothing))
@@ -213,7 +213,7 @@ def _at_reference(event: TelemetryBalance, parameters: Mapping[str, Array]) -> d
     return {**parameters, **fixed}
 
 
-def _reference(event: TelemetryBalance) -> Levels:
+def _reference(event: TelemetryBalance) -> ChannelVariances:
     assert event.reference is not None  # in_channel_units has it
     return event.reference
 
@@ -270,13 +270,13 @@ def _band_noise(event: TelemetryBalance, physics: Physics, left_open: Array) -> 
 
 def _of_rows(event: TelemetryBalance, physics: Physics) -> Array:
     """The part of the rows."""
-    flat, left_open, levels = event.flat_rows, event.nominally_open.rows, _reference(event)
+    flat, left_open, variances = event.flat_rows, event.nominally_open.rows, _reference(event)
     result = log_of_flat_rows(
-        covariance_beside_wheels(event, physics, levels),
+        covariance_beside_wheels(event, physics, variances),
         of_bands(left_open, len(event.slow) + len(event.fast)),
         np.ascontiguousarray(event.wheel_weights(physics)),
-        levels.wheels,
-        levels.turns.torque,
+        variances.wheels,
+        variances.turns.torque,
         flat,
     )
     others = event.statistics.rows - flat.first[-1] - flat.rows.sum()

@@ -187,7 +187,7 @@ class OpenCounters(NamedTuple):
     turns: Array  # (n, T, 3, 3), (N m s²)²
 
 
-class Levels(NamedTuple):
+class ChannelVariances(NamedTuple):
     """Variances of an event's channels at n points, for rows and turns; of each n, or one for all.
 
     Rates and attitudes are of one row: their rounding and what means leave of them are in them.
@@ -251,7 +251,7 @@ class TelemetryBalance:
     log_unit: float = 0.0
     log_size: float = 0.0
     nominally_open: OpenCounters = NOTHING_OPEN
-    reference: Levels | None = None
+    reference: ChannelVariances | None = None
     answered: Answered | None = None
 
     @property

@@ -20,7 +20,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import Products, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
-    levels_of,
+    channel_variances,
     open_counters,
     turn_noise,
     wheel_covariance,
@@ -66,7 +66,7 @@ def row_information(
     parameters = {**parameters, **_noise_seen(event, products, parameters)}
     nominal = {name: values[:1] for name, values in parameters.items()}
     total: Array | float = 0.0
-    left_open, of_channels = open_counters(event, physics), levels_of(event, parameters)
+    left_open, of_channels = open_counters(event, physics), channel_variances(event, parameters)
     with_open = band_covariances(event, physics, of_channels, left_open.rows)[0]
     walk = _walk_columns(event, nominal)
     weights = balance_weights(event, physics)

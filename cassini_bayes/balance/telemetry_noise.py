@@ -17,7 +17,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
 from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
-from cassini_bayes.balance.telemetry_balance import Levels, OpenCounters, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import ChannelVariances, OpenCounters, TelemetryBalance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
@@ -36,7 +36,7 @@ def noise_covariance(
     estimated.
     """
     of_wheels = wheel_covariance(event, physics, parameters, kept)
-    other = covariance_beside_wheels(event, physics, levels_of(event, parameters))
+    other = covariance_beside_wheels(event, physics, channel_variances(event, parameters))
     return np.asarray(other + of_wheels + late_covariance(event, physics))
 
 
@@ -58,7 +58,7 @@ def wheel_variance(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
     return _wheel_variances(event, parameters, event.wheels, lasting_shares(event, parameters))
 
 
-def levels_of(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Levels:
+def channel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) -> ChannelVariances:
     """Variances of all channels; of wheel rates by band, as their rounding is not white."""
     statistics, shares = event.statistics, lasting_shares(event, parameters)
     averaged = statistics.counters.averaged
@@ -73,7 +73,7 @@ def levels_of(event: TelemetryBalance, parameters: Mapping[str, Array]) -> Level
         parameters["torque_noise_n_m_s05"] ** 2,
     )
     wheels = _wheel_variances(event, parameters, event.band_wheels, shares)
-    return Levels(rate, attitude / averaged, wheels, of_turns)
+    return ChannelVariances(rate, attitude / averaged, wheels, of_turns)
 
 
 def _wheel_variances(
@@ -107,22 +107,24 @@ def lasting_shares(event: TelemetryBalance, parameters: Mapping[str, Array]) -> 
     return coherent_shares(noise * RAD_S_PER_RPM / step)
 
 
-def covariance_beside_wheels(event: TelemetryBalance, physics: Physics, levels: Levels) -> Array:
+def covariance_beside_wheels(
+    event: TelemetryBalance, physics: Physics, variances: ChannelVariances
+) -> Array:
     """Covariance (n, 3, 3) of what rates and attitudes put into a row, (N m s)²."""
     by_rate = physics.momentum_per_rate
-    rate, attitude = levels.rate[:, None, None], levels.attitude[:, None, None]
+    rate, attitude = variances.rate[:, None, None], variances.attitude[:, None, None]
     return np.asarray(rate * by_rate @ np.swapaxes(by_rate, -1, -2) + attitude * event.spin)
 
 
 def band_covariances(
-    event: TelemetryBalance, physics: Physics, levels: Levels, left_open: Array
+    event: TelemetryBalance, physics: Physics, variances: ChannelVariances, left_open: Array
 ) -> Array:
     """Covariance (n, S + F, 3, 3) in every band but for wheels and torque noise, (N m s)².
 
     What counters leave open is slower than the rows: ``left_open`` (:class:`OpenCounters`) differs
     by band.
     """
-    white = covariance_beside_wheels(event, physics, levels)
+    white = covariance_beside_wheels(event, physics, variances)
     return np.ascontiguousarray(white[:, None] + left_open)
 
 
@@ -142,7 +144,7 @@ class TurnNoise:
 def turn_noise(
     event: TelemetryBalance,
     physics: Physics,
-    levels: Levels,
+    variances: ChannelVariances,
     left_open: Array,
     torque_s3: Sequence[float],
 ) -> TurnNoise:
@@ -162,7 +164,7 @@ def turn_noise(
         np.ascontiguousarray(physics.momentum_per_rate),
         np.ascontiguousarray(physics.inertia_kg_m2),
         np.ascontiguousarray(event.wheel_weights(physics)),
-        levels.turns,
+        variances.turns,
         of_bands(left_open, len(event.turns)),
         event.turn_sums,
         np.asarray(torque_s3, dtype=np.float64),

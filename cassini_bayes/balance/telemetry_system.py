@@ -19,7 +19,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
-    levels_of,
+    channel_variances,
     open_counters,
     open_scales,
     turn_noise,
@@ -66,26 +66,26 @@ def event_system(
     physics
         The physics at n points.
     parameters
-        Noise levels, name → (n,) array.
+        Noise variances, name → (n,) array.
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """
     n, k = len(physics.inertia_kg_m2), event.pattern.thrusters
     reduced, bands = event.reduced, event.bands
-    levels = levels_of(event, parameters)
+    variances = channel_variances(event, parameters)
     scales = open_scales(event, physics)
     weights = balance_weights(event, physics, scales=scales)
     own_mean, sd = own_prior(event, torque_mean, torque_sd)
     own_sd = np.tile(sd, (n, 1))
     left_open = open_counters(event, physics, scales)
     faster = [band.faster_s3 for band in event.turns]
-    by_turn = turn_noise(event, physics, levels, left_open.turns, faster)
+    by_turn = turn_noise(event, physics, variances, left_open.turns, faster)
     walk = walk_weights(event, parameters)
     noise = Noise(
         np.ascontiguousarray(event.wheel_weights(physics)),
-        band_covariances(event, physics, levels, left_open.rows),
-        levels.wheels,
-        levels.turns.torque,
+        band_covariances(event, physics, variances, left_open.rows),
+        variances.wheels,
+        variances.turns.torque,
         by_turn.covariance,
     )
     normals = walk.shape[1]

@@ -27,7 +27,7 @@ from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     TurnNoise,
     band_covariances,
-    levels_of,
+    channel_variances,
     open_counters,
     turn_noise,
 )
@@ -115,7 +115,7 @@ def noise_of_turns(
     """As a likelihood call has it, or with the whole of the torque noise."""
     left_open = open_counters(balance, physics).turns
     walked = [band.walked_s3 if whole else band.faster_s3 for band in balance.turns]
-    return turn_noise(balance, physics, levels_of(balance, values), left_open, walked)
+    return turn_noise(balance, physics, channel_variances(balance, values), left_open, walked)
 
 
 def test_exact_wheels_leave_the_determinant_of_the_inertia() -> None:
@@ -158,7 +158,7 @@ def test_pulses_are_no_part_of_the_measure() -> None:
         noise = noise_of_turns(balance, physics, point)
         unmixed = replace(noise, gain=np.zeros_like(noise.gain))
         found.append(float(log_measure(balance, physics, unmixed)[0]))
-        rows = band_covariances(balance, physics, levels_of(balance, point), left_open.rows)
+        rows = band_covariances(balance, physics, channel_variances(balance, point), left_open.rows)
         noises.append(np.linalg.slogdet(rows[0, 0])[1])
     assert noises[1] - noises[0] > 0.1  # cut tails are seen in these rows
     assert found[0] == found[1]
