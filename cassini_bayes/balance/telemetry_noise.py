@@ -185,9 +185,8 @@ def late_covariance(event: TelemetryBalance, physics: Physics) -> Array:
     """
     if event.late is None:
         return np.zeros((len(physics.inertia_kg_m2), 3, 3))
-    torque = couple_torques(event, physics)
-    scaled = torque * late_variances(event, physics)[:, None]
-    return np.asarray(scaled @ np.swapaxes(torque, -1, -2))
+    variances = late_variances(event, physics)[:, None]
+    return summed_over_couples(couple_torques(event, physics), variances)[:, 0]
 
 
 def late_variances(event: TelemetryBalance, physics: Physics) -> Array:
