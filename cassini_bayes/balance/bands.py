@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, wraps
+from functools import cache, lru_cache, wraps
 from itertools import pairwise
 from typing import Final, TypeVar
 from weakref import WeakKeyDictionary
@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from cassini_bayes.balance.band_products import BandProducts
 from cassini_bayes.balance.open_counters import level_patterns, step_patterns
 from cassini_bayes.balance.rounded_wheels import HARMONICS, ShownRows, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics
@@ -73,7 +74,7 @@ class Band:
         return self.motion.x, np.ascontiguousarray(self.motion.c)
 
 
-Bands = tuple[tuple[Band, ...], tuple[Band, ...], Array, Array, WheelSquares]
+Bands = tuple[tuple[Band, ...], tuple[Band, ...], Array, BandProducts, WheelSquares]
 
 
 def _once(function: Callable[[EventStatistics], Result]) -> Callable[[EventStatistics], Result]:
@@ -97,8 +98,8 @@ def make_bands(statistics: EventStatistics) -> Bands:
     is said of them in any band, and next to nothing lost, the rates being far above their noise.
 
     Returns the slow bands, the fast bands (octaves of the faster modes, and all that no mode
-    explains), all columns' coordinates (3, A, M) on the slow modes, the Gram matrices
-    (3, 3, A, A) of the fast bands, and the noise of wheel rates over all rows.
+    explains), all columns' coordinates (3, A, M) on the slow modes, their inner products in the
+    fast bands, and the noise of wheel rates over all rows.
     """
     walk, faster, modes, turned = turned_modes(statistics)
     counters = statistics.counters
@@ -127,13 +128,11 @@ def make_bands(statistics: EventStatistics) -> Bands:
     inner = [edge for edge in SLOW_EDGES if edge < edges[1]]
     slow = [band(*ends, faster, None) for ends in pairwise([0, *inner, edges[1]])]
     slow_modes = np.ascontiguousarray(modes[..., : edges[1]])
-    rest = statistics.gram - _gram_of(slow_modes)
-    bands, grams = [], []
+    bands, parts = [], []
     for start, stop in pairwise(edges[1:]):
         motion = None if turning else motion_table(stop - start, still)
         bands.append(band(start, stop, walk, motion))
-        grams.append(_gram_of(modes[..., start:stop]))
-        rest = rest - grams[-1]
+        parts.append(modes[..., start:stop])
     rows = statistics.rows - len(walk)
     if rows > 0:
         # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
@@ -143,19 +142,13 @@ def make_bands(statistics: EventStatistics) -> Bands:
         slower = of_wheels.of_modes(0, len(walk))
         noise = (left_open.of_rest(rows), (everywhere - slower).over(rows))
         bands.append(Band(rows, left, left, motion, *noise))
-        grams.append(rest)
     return (
         tuple(slow),
         tuple(bands),
         slow_modes,
-        np.array(grams).reshape(len(bands), *rest.shape),
+        BandProducts(slow_modes, tuple(parts), statistics.gram if rows > 0 else None),
         everywhere.over(counters.stride * len(time)),
     )
-
-
-def _gram_of(modes: Array) -> Array:
-    """Inner products (3, 3, A, A) of columns that have coordinates (3, A, M) on modes."""
-    return np.asarray(np.tensordot(modes, modes, (2, 2)).transpose(0, 2, 1, 3))
 
 
 def is_sparse(statistics: EventStatistics) -> bool:
@@ -268,38 +261,44 @@ class TurnBand:
 
 
 @_once
-def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], Array, Array]:
-    """Slopes of the quiet pieces by frequency, then their swings; and their Gram matrices.
+def turn_bands(statistics: EventStatistics) -> tuple[tuple[TurnBand, ...], BandProducts, Array]:
+    """Slopes of the quiet pieces by frequency, then their swings; and their inner products.
 
     Torque noise and what counters leave open are slow, so that slopes are told apart by modes as
-    rows are (:func:`turned_modes`). Returns the bands, their (T, 3, 3, A, A), and the columns'
+    rows are (:func:`turned_modes`). Returns the bands, columns' inner products in them, and their
     coordinates (3, A, M) on the first modes, of whole bands with few modes.
     """
     turns = statistics.turns
     bands: list[TurnBand] = []
-    grams: list[Array] = []
+    parts: list[Array] = []
     modes = np.zeros((*turns.gram.shape[2:4], 0))
     if turns.pieces > 0:
-        bands, grams, modes = _slope_bands(statistics)
+        bands, parts, modes = _slope_bands(statistics)
+    whole = turns.slope_gram if len(parts) < len(bands) else None
+    swings = np.flatnonzero(turns.contrasts)
+    others = tuple(turns.gram[g] for g in swings)
+    products = BandProducts(modes[..., :0], tuple(parts), whole, others)
     couples, size = statistics.counters.slopes.shape[1:]
     nothing = OpenSquares(np.zeros(couples), np.zeros((couples, size, size)))
     # the summed rounding of a wheel at rest is a ramp: nothing of it is in swings
     moving = np.tile(make_bands(statistics)[4].moving, (HARMONICS, 1))
-    own = range(statistics.layout.walk.start, statistics.layout.walk.stop)
+    walk = statistics.layout.walk
     scale = walk_scales(statistics.duration_s, statistics.layout.cosines)[1:]
-    for g in np.flatnonzero(turns.contrasts):
+    for g in swings:
         contrasts = int(turns.contrasts[g])
         summed_s2, walked_s3 = float(turns.summed_s2[g]), float(turns.walked_s3[g])
-        of_axes = np.trace(turns.gram[g])[own, own]
+        of_axes = np.trace(turns.gram[g][..., walk, walk]).diagonal()
         slowest = np.repeat(scale**2, 3) @ of_axes / (3.0 * contrasts)
         squares = (summed_s2, summed_s2 * moving, walked_s3, max(walked_s3 - float(slowest), 0.0))
         bands.append(TurnBand(contrasts, *squares, nothing))
-        grams.append(turns.gram[g])
-    grams_of_all = np.array(grams).reshape(len(bands), *turns.gram.shape[1:])
-    return tuple(bands), grams_of_all, np.ascontiguousarray(modes)
+    return tuple(bands), products, np.ascontiguousarray(modes)
 
 
 def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Array], Array]:
+    """Bands of slopes, their modes (3, A, m), and the first modes.
+
+    The last band has none, where it is all that no mode explains.
+    """
     turns = statistics.turns
     walk, faster, turned = diagonal_walk(turns.slope_mode_gram, statistics.duration_s, turns.pieces)
     modes = np.tensordot(turns.slope_projection, turned, (0, 0))
@@ -311,19 +310,16 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
     summed = turns.slope_stride * turns.slope_summed_s2 @ on_modes**2
     faster_still = turns.slope_stride * turns.slope_beyond_s3 @ on_modes**2
     walk, faster = walk + faster_still, faster + faster_still
-    bands, grams, rest = [], [], turns.slope_gram
+    bands, parts = [], []
     # the slowest cosines are unknowns: modes that are theirs have next to no walk beside them
     edges = {*SLOPE_EDGES, 1 + statistics.layout.cosines}
     inner = sorted(edge for edge in edges if edge < len(walk))
     for start, stop in pairwise([0, *inner, len(walk)]):
-        part = modes[..., start:stop]
-        gram = np.tensordot(part, part, (2, 2)).transpose(0, 2, 1, 3)
         walked_s3, faster_s3 = (float(each[start:stop].mean()) for each in (walk, faster))
         summed_s2, rounded_s2 = float(summed[start:stop].mean()), rounded[start:stop].mean(axis=0)
         squares = (summed_s2, rounded_s2, walked_s3, faster_s3)
         bands.append(TurnBand(stop - start, *squares, left_open.of_modes(start, stop)))
-        grams.append(gram)
-        rest = rest - gram
+        parts.append(modes[..., start:stop])
     if (rows := turns.pieces - len(walk)) > 0:
         # thinned pieces may leave too little for the rest: that of one piece at least
         summed_s2, walked_s3 = (
@@ -336,8 +332,7 @@ def _slope_bands(statistics: EventStatistics) -> tuple[list[TurnBand], list[Arra
         left = np.maximum(all_rounded - rounded.sum(axis=0), 0.0) / rows
         squares = (summed_s2, left, walked_s3, walked_s3)
         bands.append(TurnBand(rows, *squares, left_open.of_rest(rows)))
-        grams.append(rest)
-    return bands, grams, modes[..., :FEW_SLOPES]
+    return bands, parts, modes[..., :FEW_SLOPES]
 
 
 def rounded_slopes(turns: TurnStatistics, on_modes: Array, step: float) -> tuple[Array, Array]:
@@ -436,21 +431,27 @@ def motion_table(rows: int, no_motion: float = STILL) -> CubicSpline:
     edges = [np.full_like(t, LOG_MOTION[0]), *inner, np.full_like(t, LOG_MOTION[1])]
     parts = [_legendre(a, b, n) for (a, b), n in zip(pairwise(edges), (48, 160, 48), strict=True)]
     log_s, weight = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    log_v = np.logaddexp(0.0, log_s)
-    exponent = -half * (t + log_v + np.exp(-t - log_v))
+    motion = np.exp(log_s)
+    exponent = -half * (t + np.log1p(motion) + np.exp(-t) / (1.0 + motion))
     still = -half * (t + np.exp(-t))
     top = np.maximum(exponent.max(axis=1, keepdims=True), still)
     moves = (1.0 - no_motion) / (LOG_MOTION[1] - LOG_MOTION[0])
     density = moves * weight * np.exp(exponent - top)
     at_rest = no_motion * np.exp(still - top)[:, 0]
     total = density.sum(axis=1) + at_rest
-    noise_share = (at_rest + (density * np.exp(-log_v)).sum(axis=1)) / total
+    noise_share = (at_rest + (density / (1.0 + motion)).sum(axis=1)) / total
     explained = np.exp(-t[:, 0]) * noise_share
     return CubicSpline(t[:, 0], np.stack([top[:, 0] + np.log(total), explained], axis=1))
 
 
 def _legendre(low: Array, high: Array, count: int) -> tuple[Array, Array]:
     """Nodes and weights (T, count) of Gauss-Legendre sums between bounds (T, 1)."""
-    node, weight = np.polynomial.legendre.leggauss(count)
+    node, weight = _unit_legendre(count)
     half = 0.5 * (high - low)
     return low + half * (1.0 + node), half * weight
+
+
+@cache
+def _unit_legendre(count: int) -> tuple[Array, Array]:
+    """Nodes and weights between −1 and 1: for the many tables of one process."""
+    return np.polynomial.legendre.leggauss(count)

@@ -19,6 +19,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from cassini_bayes.balance.band_products import BandProducts
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import (
     ChannelNoise,
@@ -157,27 +158,35 @@ class CompiledBands:
     turns: Turns
 
 
+class ColumnProducts(NamedTuple):
+    """Inner products of B columns of a model."""
+
+    slow: Array  # (3, B, M) coordinates on the slow modes
+    grams: Array  # (F, 3, 3, B, B) of the fast bands
+    slopes: Array  # (3, B, S) coordinates of integrated columns on the slowest modes of slopes
+    turns: Array  # (T, 3, 3, B, B) of the integrated columns of quiet pieces
+
+
 @dataclass(frozen=True)
 class Products:
-    """Inner products of columns: of all A of the layout, or of some.
+    """Inner products of all A columns of the layout, as :class:`ColumnProducts` has them.
 
-    A model shares those of all with whatever is built on its events; ``compiled`` are those of the
+    A model shares them with whatever is built on its events; ``compiled`` are those of the
     entries (as bytes) that some model's likelihood has needed, for as long as there is such a one.
     """
 
-    slow: Array  # (3, A, M) coordinates on the slow modes
-    grams: Array  # (F, 3, 3, A, A) of the fast bands
-    slopes: Array  # (3, A, S) coordinates of integrated columns on the slowest modes of slopes
-    turns: Array  # (T, 3, 3, A, A) of the integrated columns of quiet pieces
+    slow: Array  # (3, A, M)
+    fast: BandProducts
+    slopes: Array  # (3, A, S)
+    turns: BandProducts
     compiled: WeakValueDictionary[bytes, CompiledBands] = field(
         default_factory=WeakValueDictionary, init=False, repr=False, compare=False
     )
 
-    def of(self, columns: Places) -> Products:
+    def of(self, columns: Places) -> ColumnProducts:
         """Those of some columns, in their order."""
-        both = columns[:, None], columns
         slow, slopes = (np.ascontiguousarray(each[:, columns]) for each in (self.slow, self.slopes))
-        return Products(slow, self.grams[..., *both], slopes, self.turns[..., *both])
+        return ColumnProducts(slow, self.fast.of(columns), slopes, self.turns.of(columns))
 
 
 class OpenCounters(NamedTuple):
@@ -276,25 +285,25 @@ class TelemetryBalance:
     def _compiled_bands(self) -> CompiledBands:
         first = np.r_[0, np.cumsum([band.contrasts for band in self.turns], dtype=np.int64)]
         first = first[first <= self.products.slopes.shape[2]]
-        products, columns = self.products, self.reduced.entered
+        products = self.products.of(self.reduced.entered)
         slow = SlowBands(
-            np.ascontiguousarray(products.slow[:, columns]),
+            products.slow,
             self.flat_rows.first,
             np.concatenate([band.faster for band in self.slow]),
         )
         tables = [band.table for band in self.fast]
         nodes, coefficients = (np.array(each) for each in zip(*tables, strict=True))
         fast = FastBands(
-            _by_column(products.grams, columns),
+            _by_column(products.grams),
             np.array([float(band.rows) for band in self.fast]),
             np.array([band.faster.mean() for band in self.fast]),
             nodes,
             coefficients,
         )
         turns = Turns(
-            np.ascontiguousarray(products.slopes[:, columns]),
+            products.slopes,
             first,
-            _by_column(products.turns[len(first) - 1 :], columns),
+            _by_column(products.turns[len(first) - 1 :]),
             self.contrasts,
         )
         return CompiledBands(slow, fast, turns)
@@ -386,8 +395,8 @@ def make_balance(
     start = np.linalg.lstsq(
         _initial_gram(statistics), _initial_target(statistics, scalars, span), rcond=None
     )[0]
-    slow, fast, slow_modes, grams, of_wheels = make_bands(statistics)
-    turns, turn_grams, slopes = turn_bands(statistics)
+    slow, fast, slow_modes, products, of_wheels = make_bands(statistics)
+    turns, of_turns, slopes = turn_bands(statistics)
     pattern = _pattern(statistics)
     everything = np.arange(len(pattern.row))
     constant = slow_modes[0, layout.one]
@@ -402,7 +411,7 @@ def make_balance(
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
         spin=np.trace(squares) * np.eye(3) - squares,
         wheels=of_wheels,
-        products=Products(slow_modes, grams, slopes, turn_grams),
+        products=Products(slow_modes, products, slopes, of_turns),
         reduced=Reduced(
             everything,
             np.arange(slow_modes.shape[1]),
@@ -442,21 +451,14 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
         event,
         reference=reference,
         fast=(replace(first, rows=rows, walk=walk, faster=walk),),
-        products=replace(products, grams=products.grams.sum(axis=0, keepdims=True)),
+        products=replace(products, fast=products.fast.as_one()),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, : 1 + len(event.slow)]),
     )
 
 
-def _by_column(grams: Array, columns: Places) -> Array:
-    """Gram matrices (F, 3, 3, A, A) of some B columns, as (F, B, 3, 3, B).
-
-    What a column needs lies together.
-    """
-    count = len(columns)
-    result = np.empty((len(grams), count, 3, 3, count))
-    for place, column in enumerate(columns):
-        result[:, place] = grams[:, :, :, column].take(columns, axis=-1)
-    return result
+def _by_column(grams: Array) -> Array:
+    """Gram matrices (F, 3, 3, B, B) as (F, B, 3, 3, B): what a column needs lies together."""
+    return np.ascontiguousarray(grams.transpose(0, 3, 1, 2, 4))
 
 
 def _initial_gram(statistics: EventStatistics) -> Array:

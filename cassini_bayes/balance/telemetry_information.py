@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.bands import Band, TurnBand
 from cassini_bayes.balance.kernel import without_first
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.telemetry_balance import Products, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import ColumnProducts, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import (
     band_covariances,
     channel_variances,
@@ -109,7 +109,7 @@ def _walk_columns(event: TelemetryBalance, nominal: Mapping[str, Array]) -> Arra
 
 
 def _noise_seen(
-    event: TelemetryBalance, products: Products, parameters: Mapping[str, Array]
+    event: TelemetryBalance, products: ColumnProducts, parameters: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Noise of rates and attitudes that is no more than what the fastest rows and turns show.
 

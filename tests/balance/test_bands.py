@@ -25,8 +25,9 @@ def test_summed_noise_of_unlike_pieces_is_that_of_every_band() -> None:
         time = np.concatenate([40.0 * i + np.arange(m) for i, m in enumerate(lengths)])
         samples = made_up_samples(rng, len(time), fires=False, wander=30.0 * noise)
         statistics, _ = reduced(replace(samples, time_s=time), telemetry_priors())
-        bands, grams, _ = turn_bands(statistics)
-        rates = np.diagonal(grams[:, 0, 0], axis1=1, axis2=2)[:, statistics.layout.rate]
+        bands, products, _ = turn_bands(statistics)
+        grams = products.of(np.arange(statistics.gram.shape[-1])[statistics.layout.rate])
+        rates = np.diagonal(grams[:, 0, 0], axis1=1, axis2=2)
         contrasts = np.array([band.contrasts for band in bands])
         squares.append(rates.mean(axis=1) / contrasts / noise**2)
         stated.append([band.summed_s2 for band in bands])

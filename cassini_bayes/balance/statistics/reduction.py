@@ -275,16 +275,29 @@ def _inner_products(rows: Rows, layout: Layout, duration_s: float) -> _Inner:
     return _Inner(columns[every[:, None], every], on_waves[:, every], modes)
 
 
-def _by_axes(columns: Array, layout: Layout) -> tuple[Array, list[NDArray[np.intp]]]:
-    """One Gram matrix (3, 3, A, A) per pair of axes, and the places of every axis's columns."""
-    vectors, scalars = len(layout.vector), len(layout.scalar)
-    scalar = range(3 * vectors, 3 * vectors + scalars)
-    places = [np.r_[c * vectors : (c + 1) * vectors, scalar] for c in range(3)]
-    gram = np.empty((3, 3, layout.size, layout.size))
-    for c in range(3):
-        for d in range(3):
-            gram[c, d] = columns[places[c][:, None], places[d]]
-    return gram, places
+def _by_axes(columns: Array, layout: Layout) -> Array:
+    """Gram matrices (..., 3, 3, A, A), one per pair of axes, of those (..., 3 V + S, 3 V + S)."""
+    vectors = len(layout.vector)
+    own = [slice(c * vectors, (c + 1) * vectors) for c in range(3)]
+    first, scalar, scalars = slice(vectors), slice(vectors, None), slice(3 * vectors, None)
+    gram = np.empty((*columns.shape[:-2], 3, 3, layout.size, layout.size))
+    for c, row in enumerate(own):
+        for d, column in enumerate(own):
+            block = gram[..., c, d, :, :]
+            block[..., first, first] = columns[..., row, column]
+            block[..., first, scalar] = columns[..., row, scalars]
+            block[..., scalar, first] = columns[..., scalars, column]
+            block[..., scalar, scalar] = columns[..., scalars, scalars]
+    return gram
+
+
+def _mixed_by_axes(mixed: Array, layout: Layout) -> Array:
+    """Inner products (M, 3, A) with the columns of every axis, of those (M, 3 V + S)."""
+    vectors = len(layout.vector)
+    own, scalar = np.split(mixed, [3 * vectors], axis=1)
+    by_axis = own.reshape(len(mixed), 3, vectors)
+    along = np.broadcast_to(scalar[:, None], (len(mixed), 3, scalar.shape[1]))
+    return np.concatenate([by_axis, along], axis=2)
 
 
 def _twins(vector: Array, layout: Layout) -> NDArray[np.intp]:
@@ -388,15 +401,14 @@ def reduce_chunks(
             "give more telemetry, or the counters at a faster rate",
         )
     averaged = at_readings / used if sampling.block_s > 0.0 else 1.0
-    gram, places = _by_axes(inner.columns, layout)
     return EventStatistics(
         event_id=event_id,
         kind=kind,
         layout=layout,
         duration_s=sampling.duration_s,
         rows=used,
-        gram=gram,
-        projection=np.stack([inner.mixed[:, place] for place in places], axis=1),
+        gram=_by_axes(inner.columns, layout),
+        projection=_mixed_by_axes(inner.mixed, layout),
         mode_gram=inner.modes,
         cuts=carry.cuts,
         counter_interval_s=interval,
@@ -597,15 +609,13 @@ class _Turns:
     def statistics(self) -> TurnStatistics:
         """All of it, once the last rows have been added."""
         self._work_up(is_last=True)
-        slope_gram, columns = _by_axes(self._slopes.columns, self._layout)
         summed, walked = (self._squares / np.maximum(self._contrasts, 1)[:, None]).T.copy()
         width = SLOPE_WAVES + 6 + 2 * len(self._layout.wheels)
         places = np.concatenate([np.zeros((0, width)), *self._places.kept])
         return TurnStatistics(
             self._pieces,
-            slope_gram,
-            # in the order in which the cache gives them back: sums are the same to the last bit
-            np.ascontiguousarray(np.stack([self._slopes.mixed[:, own] for own in columns], axis=1)),
+            _by_axes(self._slopes.columns, self._layout),
+            _mixed_by_axes(self._slopes.mixed, self._layout),
             self._slopes.modes,
             places[:, 0].copy(),
             places[:, 1 : SLOPE_WAVES + 2].copy(),
@@ -614,7 +624,7 @@ class _Turns:
             places[:, SLOPE_WAVES + 4 :].copy(),
             self._places.stride,
             self._contrasts,
-            np.stack([_by_axes(own, self._layout)[0] for own in self._swings]),
+            _by_axes(self._swings, self._layout),
             summed,
             walked,
         )
