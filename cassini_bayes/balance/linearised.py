@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.special import logsumexp
 
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.turns import WhiteTurns
 from cassini_bayes.computing.arrays import Array, Places
 
@@ -46,37 +46,40 @@ class EventRows:
 
 @dataclass(frozen=True)
 class Linear:
-    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,)."""
+    """Whitened linear model of all events: target (m,), columns (m, p), prior precision (p,).
+
+    A row has three values.
+    """
 
     target: Array
-    columns: Array
+    columns: ColumnsByPart
     precision: Array
-    rows: tuple[int, ...]  # of every event, three values each
 
     @property
     def parts(self) -> tuple[slice, ...]:
         """Where every event's values are in ``target``."""
-        ends = 3 * np.cumsum([0, *self.rows])
-        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+        return self.columns.slices
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """How many every event has."""
+        return tuple(len(part.values) // 3 for part in self.columns.parts)
 
     def about_prior_mean(self, z: Array) -> Array:
         """The target (m,) had it been taken where the first unknowns z (d,), standard, are zero."""
-        return np.asarray(self.target + self.columns[:, : len(z)] @ z)
+        moved = np.zeros(len(self.precision))
+        moved[: len(z)] = z
+        return np.asarray(self.target + self.columns @ moved)
 
     def gram(self) -> Array:
-        """XᵀX + P (p, p), summed over events on the columns that each of them has."""
-        total = np.diag(self.precision)
-        for part in self.parts:
-            own = self.columns[part]
-            kept = np.flatnonzero(np.any(own, axis=0))
-            own = own[:, kept]
-            total[np.ix_(kept, kept)] += own.T @ own
-        return total
+        """XᵀX + P (p, p)."""
+        return self.columns.gram() + np.diag(self.precision)
 
 
 def fitted_away(linear: Linear, target: Array) -> Array:
     """What the prior and the fit leave (m, …) of one or more targets (m, …)."""
-    coefficients = np.linalg.solve(linear.gram(), linear.columns.T @ target)
+    taken = linear.columns.along(target)
+    coefficients = np.asarray(np.linalg.solve(linear.gram(), taken), dtype=np.float64)
     return np.asarray(target - linear.columns @ coefficients)
 
 
@@ -141,23 +144,41 @@ def _by_group(
     """
     counts = np.ones(len(target), dtype=bool) if used is None else used
     of_part = np.arange(len(linear.parts)) if groups is None else np.asarray(groups)
-    of_value = np.repeat(of_part, 3 * np.array(linear.rows))
-    blocks, has = [], []
+    blocks, owners = [], np.zeros(len(linear.precision), dtype=np.int64)
     for group in np.unique(of_part):
-        rows = np.flatnonzero((of_value == group) & counts)
-        blocks.append((linear.columns[rows], np.column_stack([columns[rows], target[rows]])))
-        has.append(np.any(blocks[-1][0], axis=0))
-    shared = np.flatnonzero(np.sum(has, axis=0) != 1)
+        members = np.flatnonzero(of_part == group)
+        block = _stacked([linear.columns.parts[i] for i in members])
+        rows = np.concatenate([np.r_[linear.parts[i]] for i in members])
+        kept = counts[rows]
+        both = np.column_stack([columns[rows[kept]], target[rows[kept]]])
+        blocks.append((PartColumns(block.places, block.values[kept]), both))
+        owners[block.places[np.any(blocks[-1][0].values, axis=0)]] += 1
+    shared = np.flatnonzero(owners != 1)
     wholes = []
-    for (block, both), own_has in zip(blocks, has, strict=True):
-        own = np.setdiff1d(np.flatnonzero(own_has), shared, assume_unique=True)
-        common, beside = block[:, shared], block[:, own]
+    for block, both in blocks:
+        common = np.zeros((len(both), len(shared)))
+        is_common = owners[block.places] != 1
+        common[:, np.searchsorted(shared, block.places[is_common])] = block.values[:, is_common]
+        has = np.any(block.values, axis=0) & ~is_common
+        own, beside = block.places[has], block.values[:, has]
         inner = beside.T @ beside + np.diag(linear.precision[own])
         right = np.column_stack([common, both])
         pulled = beside.T @ right
         taken = pulled.T @ np.linalg.solve(inner, pulled)
         wholes.append(right.T @ right - taken)
     return shared, wholes
+
+
+def _stacked(parts: Sequence[PartColumns]) -> PartColumns:
+    """Parts as one that has the columns of all."""
+    places = np.unique(np.concatenate([part.places for part in parts]))
+    values = np.zeros((sum(len(part.values) for part in parts), len(places)))
+    first = 0
+    for part in parts:
+        stop = first + len(part.values)
+        values[first:stop, np.searchsorted(places, part.places)] = part.values
+        first = stop
+    return PartColumns(places, values)
 
 
 def _beside(prior: Array, whole: Array) -> Information:
@@ -217,15 +238,15 @@ def with_unknowns(
     factors
         Lower factors (3, 3) of every event's noise.
     """
-    widths = [len(variance) for _, variance in opened]
-    added, place = np.zeros((len(linear.target), sum(widths))), 0
-    for part, (columns, variance), factor in zip(linear.parts, opened, factors, strict=True):
-        stop = place + len(variance)
-        added[part, place:stop] = whitened(columns, factor)
-        place = stop
+    parts, place = [], linear.columns.width
+    for own, (columns, variance), factor in zip(linear.columns.parts, opened, factors, strict=True):
+        added = np.arange(place, place + len(variance))
+        place += len(variance)
+        values = np.concatenate([own.values, whitened(columns, factor)], axis=1)
+        parts.append(PartColumns(np.concatenate([own.places, added]), values))
     precision = 1.0 / np.concatenate([np.zeros(0), *(variance for _, variance in opened)])
     return replace(
         linear,
-        columns=np.concatenate([linear.columns, added], axis=1),
+        columns=ColumnsByPart(tuple(parts), place),
         precision=np.concatenate([linear.precision, precision]),
     )

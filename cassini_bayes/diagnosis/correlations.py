@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.part_columns import spread
 from cassini_bayes.computing.arrays import Array
 
 AXES: Final = "xyz"
@@ -203,14 +204,15 @@ def _tests(
     """Contrasts column × body axis of every event, and the covariance (t, t) of their z."""
     tested: list[Tested] = []
     projections, own_covariance = [], []
-    for event, part, named in zip(rows, linear.parts, columns, strict=True):
+    for event, part, named in zip(rows, linear.columns.parts, columns, strict=True):
         if not named:
             continue
         table = np.stack(list(named.values()), axis=1)  # (n, k)
         n, k = table.shape
-        blocks = linear.columns[part].reshape(n, 3, -1)
+        blocks = part.values.reshape(n, 3, -1)
         mixed = np.einsum("nk,nbp->kbp", table, blocks, optimize=True)
-        projections.append(np.einsum("ab,kbp->akp", event.noise_factor, mixed).reshape(3 * k, -1))
+        along = np.einsum("ab,kbp->akp", event.noise_factor, mixed).reshape(3 * k, -1)
+        projections.append(spread(along, part.places, linear.columns.width))
         noise = event.noise_factor @ event.noise_factor.T
         own_covariance.append(np.kron(noise, table.T @ table))
         values = (event.residual_n_m_s.T @ table).reshape(-1)
@@ -249,13 +251,12 @@ def _whiteness(linear: Linear, rows: Sequence[EventRows], lower: Array) -> list[
     """Autocorrelations with the smooth part that fitting took out put back on average."""
     whiteness = []
     root = solve_triangular(np.tril(lower), np.eye(len(lower)), lower=True)
-    for event, part in zip(rows, linear.parts, strict=True):
+    for event, part in zip(rows, linear.columns.parts, strict=True):
         n = len(event.time_s)
         if n <= 2 * LAGS:
             continue
-        own = np.flatnonzero(np.any(linear.columns[part], axis=0))
         # the event's unknowns alone, whose covariance has this root
-        taken = linear.columns[part][:, own] @ np.asarray(np.linalg.qr(root[:, own], mode="r")).T
+        taken = part.values @ np.asarray(np.linalg.qr(root[:, part.places], mode="r")).T
         taken = np.einsum("ab,nbp->anp", event.noise_factor, taken.reshape(n, 3, -1))
         for a, axis in enumerate(AXES):
             lags = _autocorrelation(event.residual_n_m_s[:, a], taken[a])

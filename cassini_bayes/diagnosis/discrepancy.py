@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.part_columns import spread
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.case import Weighed
@@ -179,16 +180,16 @@ def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tup
     mean[: len(point)] = -point
     target = linear.target - linear.columns @ mean
     own_gram, mixed, own_projection = [], [], []
-    for event, part in zip(rows, linear.parts, strict=True):
+    for event, part, known in zip(rows, linear.parts, linear.columns.parts, strict=True):
         n = len(event.time_s)
         inverse = np.linalg.inv(event.noise_factor)
         columns = np.einsum("ba,namc->nbmc", inverse, _gained(event)).reshape(3 * n, -1)
         own_gram.append(columns.T @ columns)
-        mixed.append(linear.columns[part].T @ columns)
+        mixed.append(spread(columns.T @ known.values, known.places, linear.columns.width).T)
         own_projection.append(columns.T @ target[part])
     across = np.concatenate(mixed, axis=1)
     factor = cho_factor(linear.gram(), lower=True)
-    fitted = cho_solve(factor, np.column_stack([across, linear.columns.T @ target]))
+    fitted = cho_solve(factor, np.column_stack([across, linear.columns.along(target)]))
     matrix = block_diag(*own_gram) - across.T @ fitted[:, :-1]
     return matrix, np.concatenate(own_projection) - across.T @ fitted[:, -1]
 

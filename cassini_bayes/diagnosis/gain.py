@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import UNKNOWN, Fits, Weighed
@@ -266,17 +267,18 @@ def predicted_rows(linear: Linear, place: int, centre: Array) -> tuple[Array, Ar
     rows = linear.parts[place]
     first = max(3, int(FIRST_SHARE * linear.rows[place])) * 3
     hidden = slice(rows.start + first, rows.stop)
-    used = np.ones(len(linear.target), dtype=bool)
-    used[hidden] = False
-    columns, target = linear.columns[used], linear.target[used]
+    own, parts = linear.columns.parts[place], list(linear.columns.parts)
+    parts[place] = PartColumns(own.places, own.values[:first])
+    used = np.concatenate([linear.target[: hidden.start], linear.target[hidden.stop :]])
+    known = Linear(used, ColumnsByPart(tuple(parts), linear.columns.width), linear.precision)
     mean = np.zeros(len(linear.precision))
     mean[: len(centre)] = centre
-    precision = columns.T @ columns + np.diag(linear.precision)
-    fitted = np.linalg.solve(precision, columns.T @ target + linear.precision * mean)
-    new = linear.columns[hidden]
-    covariance = np.linalg.inv(precision)
-    spread = np.sqrt(1.0 + np.einsum("mp,pq,mq->m", new, covariance, new))
-    return linear.target[hidden] - new @ fitted, spread
+    precision = known.gram()
+    fitted = np.linalg.solve(precision, known.columns.along(used) + linear.precision * mean)
+    new, places = own.values[first:], own.places
+    covariance = np.linalg.inv(precision)[np.ix_(places, places)]
+    spread = np.sqrt(1.0 + np.einsum("mp,mp->m", new @ covariance, new))
+    return linear.target[hidden] - new @ fitted[places], spread
 
 
 def held_out_totals(

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, whitened, with_unknowns
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance
@@ -220,21 +221,17 @@ def _stacked(
     factors: Sequence[Array],
     shared: int,
 ) -> Linear:
-    sizes = [3 * len(target) for target in targets]
-    widths = [len(precision) for precision in event_precision]
-    columns = np.zeros((sum(sizes), shared + sum(widths)))
-    target = np.zeros(sum(sizes))
-    row, column = 0, shared
-    for of_rows, (common, of_event), factor, size, width in zip(
-        targets, blocks, factors, sizes, widths, strict=True
+    white, parts, first = [], [], shared
+    for of_rows, (common, of_event), factor, precision in zip(
+        targets, blocks, factors, event_precision, strict=True
     ):
-        stop = row + size
-        target[row:stop] = (of_rows @ np.linalg.inv(factor).T).reshape(-1)
-        columns[row:stop, : common.shape[2]] = whitened(common, factor)
-        columns[row:stop, column : column + width] = whitened(of_event, factor)
-        row, column = stop, column + width
-    precision = np.concatenate([np.ones(shared), *event_precision])
-    return Linear(target, columns, precision, tuple(size // 3 for size in sizes))
+        white.append((of_rows @ np.linalg.inv(factor).T).reshape(-1))
+        stop = first + len(precision)
+        values = np.concatenate([whitened(common, factor), whitened(of_event, factor)], axis=1)
+        parts.append(PartColumns(np.r_[0 : common.shape[2], first:stop], values))
+        first = stop
+    every = np.concatenate([np.ones(shared), *event_precision])
+    return Linear(np.concatenate(white), ColumnsByPart(tuple(parts), first), every)
 
 
 def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:

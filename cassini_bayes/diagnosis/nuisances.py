@@ -128,7 +128,7 @@ def _gaussian(weighed: Weighed[Hypothesis]) -> _Gaussian:
     pull = np.zeros(len(left.linear.precision))
     pull[: len(point)] = -point
     gram = left.linear.gram()
-    mean = np.linalg.solve(gram, left.linear.columns.T @ left.linear.target + pull)[:kept]
+    mean = np.linalg.solve(gram, left.linear.columns.along(left.linear.target) + pull)[:kept]
     mean[: len(point)] += point
     covariance = np.linalg.solve(gram, np.eye(len(gram), kept))[:kept]
     return _Gaussian(np.asarray(mean, dtype=np.float64), np.asarray(covariance, dtype=np.float64))

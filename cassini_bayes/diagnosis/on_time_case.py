@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import chi2, norm
 
+from cassini_bayes.balance.part_columns import PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import (
@@ -124,7 +125,7 @@ class OnTimeCase(Case[OnTimeHypothesis]):
             in_time = [data.event_ids.index(name) for name in data.order]
             white = {i: np.linalg.inv(np.linalg.cholesky(fitted.noise[i])) for i in in_time}
             return information_from_each(
-                [white[i] @ fitted.slope[i] for i in in_time],
+                [PartColumns.of(white[i] @ fitted.slope[i]) for i in in_time],
                 [white[i] @ (data.printed_s[i] - fitted.mean[i]) for i in in_time],
                 [white[i] @ everything[:, i].T for i in in_time],
                 np.ones(len(z)),

@@ -24,6 +24,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import logsumexp, ndtr, ndtri
 
 from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns, spread
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Beginning, H, Weighed
 from cassini_bayes.diagnosis.events import Events, turns_only_about, untold_axes
@@ -280,7 +281,7 @@ def linear_model(
     mean = np.zeros(len(linear.precision))
     mean[: len(z)] = -z
     return information_from_each(
-        [linear.columns[linear.parts[i]] for i in in_time],
+        [linear.columns.parts[i] for i in in_time],
         [linear.target[linear.parts[i]] for i in in_time],
         [added[i] for i in in_time],
         linear.precision,
@@ -289,7 +290,7 @@ def linear_model(
 
 
 def information_from_each(
-    columns: Sequence[Array],
+    columns: Sequence[PartColumns],
     target: Sequence[Array],
     added: Sequence[Array],
     precision: Array,
@@ -300,7 +301,7 @@ def information_from_each(
     Parameters
     ----------
     columns, target
-        Whitened columns (m_e, p) and target (m_e,) of every event, in order of time.
+        Whitened columns, of p, and target (m_e,) of every event, in order of time.
     added
         What effects add to the target, (m_e, S).
     precision, mean
@@ -308,16 +309,15 @@ def information_from_each(
     """
     gram, seen = np.diag(precision), precision * mean
     for own, y in zip(columns, target, strict=True):
-        kept = np.flatnonzero(np.any(own, axis=0))
-        gram[np.ix_(kept, kept)] += own[:, kept].T @ own[:, kept]
-        seen[kept] += own[:, kept].T @ y
+        gram[np.ix_(own.places, own.places)] += own.values.T @ own.values
+        seen[own.places] += own.values.T @ y
     factor = cho_factor(gram, lower=True)
     fitted = cho_solve(factor, seen)
     size = added[0].shape[1]
     across, square, along = np.zeros((len(mean), size)), np.zeros((size, size)), np.zeros(size)
     matrices = []
     for own, y, effect in zip(columns[::-1], target[::-1], added[::-1], strict=True):
-        across = across + own.T @ effect
+        across = across + spread(effect.T @ own.values, own.places, len(mean)).T
         square, along = square + effect.T @ effect, along + effect.T @ y
         matrix = square - across.T @ cho_solve(factor, across)
         matrices.append((matrix, along - across.T @ fitted))
@@ -398,20 +398,18 @@ def _with_totals(
         added.append(inverse @ effects[:, row].T)
     width, by_event = shared[0].shape[1], block_diag(*departures)
     rows = np.concatenate([np.concatenate(shared), by_event], axis=1)
-    counts, precision = (1,) * len(targets), np.ones(rows.shape[1])
+    of_totals = ColumnsByPart.of(rows, [3] * len(targets))
     if telemetry is None:
-        return Linear(np.concatenate(targets), rows, precision, counts), added
-    columns = np.zeros(
-        (len(rows) + len(telemetry.target), by_event.shape[1] + len(telemetry.precision))
-    )
-    columns[: len(rows), :width] = rows[:, :width]
-    columns[: len(rows), len(telemetry.precision) :] = by_event
-    columns[len(rows) :, : len(telemetry.precision)] = telemetry.columns
+        return Linear(np.concatenate(targets), of_totals, np.ones(rows.shape[1])), added
+    # what totals have of their own comes after all that telemetry has
+    known = len(telemetry.precision)
+    place = np.r_[0:width, known : known + by_event.shape[1]]
+    moved = [PartColumns(place[own.places], own.values) for own in of_totals.parts]
+    parts = (*moved, *telemetry.columns.parts)
     return Linear(
         np.concatenate([*targets, telemetry.target]),
-        columns,
+        ColumnsByPart(parts, known + by_event.shape[1]),
         np.concatenate([telemetry.precision, np.ones(by_event.shape[1])]),
-        (*counts, *telemetry.rows),
     ), added
 
 

@@ -111,10 +111,10 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
     shared = without.part_of(hypothesis, weighed.mode.point)
     linear, factors = linearise(hypothesis, weighed.mode.point)
     plain, plain_factors = linearise(without, shared)
-    seen = left.linear.columns.T @ left.linear.target
+    seen = left.linear.columns.along(left.linear.target)
     fitted = np.asarray(np.linalg.solve(left.linear.gram(), seen), dtype=np.float64)
     # slopes stand first, and are those of one model alone; all other unknowns are both models'
-    unknowns = fitted[len(weighed.mode.point) : linear.columns.shape[1]]
+    unknowns = fitted[len(weighed.mode.point) : linear.columns.width]
     missing = _left(plain, unknowns, len(shared), plain_factors)
     present = _left(linear, unknowns, len(weighed.mode.point), factors)
     return [without_it - with_it for without_it, with_it in zip(missing, present, strict=True)]
@@ -122,7 +122,7 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
 
 def _left(linear: Linear, unknowns: Array, slopes: int, factors: Sequence[Array]) -> list[Array]:
     """Measured less predicted momentum (n, 3) of every event with some values of the unknowns."""
-    white = linear.target - linear.columns[:, slopes:] @ unknowns
+    white = linear.target - linear.columns @ np.concatenate([np.zeros(slopes), unknowns])
     return [
         white[part].reshape(-1, 3) @ factor.T
         for part, factor in zip(linear.parts, factors, strict=True)

@@ -24,6 +24,7 @@ from cassini_bayes.balance.linearised import (
     whitened,
     with_unknowns,
 )
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import Rows, walk_columns, walk_scales
 from cassini_bayes.balance.statistics.turns import (
@@ -70,9 +71,9 @@ class BesideMode:
         linear, turned = joined(hypothesis, z, left.linear, left.rows)
         target = linear.about_prior_mean(z[:kept])
         if kept < len(z):
-            free = np.r_[0:kept, len(z) : linear.columns.shape[1]]
+            free = np.r_[0:kept, len(z) : linear.columns.width]
             linear = replace(
-                linear, columns=linear.columns[:, free], precision=linear.precision[free]
+                linear, columns=linear.columns.chosen(free), precision=linear.precision[free]
             )
         return cls(linear, target, left.rows, turned)
 
@@ -134,27 +135,25 @@ def joined(
         torque_noise(balance, own, density) for (balance, _), own in zip(terms, usable, strict=True)
     ]
     linear = with_unknowns(linear, walks, [event.noise_factor for event in rows])
-    targets, columns, turned = [linear.target], [linear.columns], []
-    for (balance, physics), own, event, part in zip(terms, usable, rows, linear.parts, strict=True):
+    targets, parts, turned = [linear.target], [*linear.columns.parts], []
+    for (balance, physics), own, event, part, seen in zip(
+        terms, usable, rows, linear.parts, linear.columns.parts, strict=True
+    ):
         n = len(own.time_s)
         pieces = pieces_of(own, balance.statistics.layout, balance.sampling)
         factor, ratio = _turn_noise(balance, physics, located.parameters)
         white, to_white = WhiteTurns.over(pieces, ratio), np.linalg.inv(factor)
         to_turns = to_white @ event.noise_factor
-        used = np.flatnonzero(np.any(linear.columns[part], axis=0))
-        of_rows = linear.columns[part][:, used].reshape(n, 3, -1)
-        integrated = pieces.integrated(of_rows.reshape(n, -1)).reshape(of_rows.shape)
-        own_columns = np.zeros((n, 3, linear.columns.shape[1]))
+        integrated = pieces.integrated(seen.values.reshape(n, -1)).reshape(n, 3, -1)
         integrated = np.einsum("ab,nbp->nap", to_turns, integrated)
-        own_columns[:, :, used] = white.whitened_axes(integrated)
+        values = white.whitened_axes(integrated).reshape(3 * n, -1)
+        parts.append(PartColumns(seen.places, values))
         target = pieces.integrated(linear.target[part].reshape(n, 3)) @ to_turns.T
         target += _turns_for_rates(physics, own, event.rate_rad_s, pieces) @ to_white.T
         targets.append(white.whitened_axes(target[:, :, None]).reshape(-1))
-        columns.append(own_columns.reshape(3 * n, -1))
         turned.append(replace(event, noise_factor=factor, turns=white))
-    both = Linear(
-        np.concatenate(targets), np.concatenate(columns), linear.precision, 2 * linear.rows
-    )
+    columns = ColumnsByPart(tuple(parts), linear.columns.width)
+    both = Linear(np.concatenate(targets), columns, linear.precision)
     return both, tuple(turned)
 
 

@@ -145,8 +145,8 @@ def with_unresolved(
     cuts = [single_cuts(hypothesis, mode, i) for i in range(len(model.telemetry))]
     d, size = len(mode), len(linear.precision)
     events = [
-        _with_cuts(linear, part, whitened(columns, factor), variance)
-        for part, (columns, variance), factor in zip(linear.parts, cuts, factors, strict=True)
+        _with_cuts(linear, i, whitened(columns, factor), variance)
+        for i, ((columns, variance), factor) in enumerate(zip(cuts, factors, strict=True))
     ]
     gram, pull = np.diag(linear.precision), np.zeros(size)
     pull[:d] = -mode  # of the prior, whose centre is not the mode
@@ -188,8 +188,7 @@ class _WithCuts(NamedTuple):
         return np.asarray(values - self.cuts @ taken)
 
 
-def _with_cuts(linear: Linear, part: slice, cuts: Array, variance: Array) -> _WithCuts:
-    columns = linear.columns[part]
-    kept = np.flatnonzero(np.any(columns, axis=0))
+def _with_cuts(linear: Linear, place: int, cuts: Array, variance: Array) -> _WithCuts:
+    own = linear.columns.parts[place]
     inner = cuts.T @ cuts + np.diag(1.0 / variance)
-    return _WithCuts(linear.target[part], columns[:, kept], kept, cuts, inner)
+    return _WithCuts(linear.target[linear.parts[place]], own.values, own.places, cuts, inner)

@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.effects.appendage import (
     KnownMotion,
     known_motion,
@@ -455,23 +455,25 @@ def _peaks(scores: Array) -> list[tuple[int, int]]:
 class _View(NamedTuple):
     """What one event's rows show about an axis: whitened momentum along it is weighed with these.
 
-    ``length`` is the square of a whitened unit, ``white`` (n,) and ``columns`` (n, p) innovations
-    and the linear model's columns along it.
+    ``length`` is the square of a whitened unit, ``white`` (n,) and ``columns`` (n, k) innovations
+    and those of the linear model's columns that the event has along it, at ``places`` (k,).
     """
 
     length: float
     white: Array
     columns: Array
+    places: Places
 
 
 def _views(rows: Sequence[EventRows], linear: Linear, axis: int) -> list[_View]:
     """Every event's view of an axis."""
     views = []
-    for event, part in zip(rows, linear.parts, strict=True):
+    for event, part in zip(rows, linear.columns.parts, strict=True):
         direction = np.linalg.inv(event.noise_factor)[:, axis]
-        columns = linear.columns[part].reshape(len(event.white), 3, -1)
+        columns = part.values.reshape(len(event.white), 3, -1)
         along = np.tensordot(columns, direction, (1, 0))
-        views.append(_View(float(direction @ direction), event.white @ direction, along))
+        length = float(direction @ direction)
+        views.append(_View(length, event.white @ direction, along, part.places))
     return views
 
 
@@ -489,7 +491,7 @@ def _fine(
     """
     frequency_hz, damping, axis = line
     gram, projection = np.zeros((3, 3)), np.zeros(3)
-    across = np.zeros((views[0].columns.shape[1], 3))
+    across = np.zeros((len(factor[0]), 3))
     for event, motion, view in zip(rows, motions, views, strict=True):
         cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
         series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
@@ -499,7 +501,7 @@ def _fine(
             series = event.turns.whitened(series, axis)
         gram += view.length * series.T @ series
         projection += view.white @ series
-        across += view.columns.T @ series
+        across[view.places] += view.columns.T @ series
     return gram - across.T @ cho_solve(factor, across), projection
 
 

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cassini_bayes.balance.linearised import EventRows, Linear, information
+from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _Information, drafted, drafts_of
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
@@ -60,7 +61,8 @@ def flight(hidden: np.ndarray, seed: int) -> tuple[Linear, list[EventRows], list
         target.append(white.ravel())
     columns = np.kron(np.eye(EVENTS), np.tile(np.eye(3), (N, 1)))
     precision = np.full(3 * EVENTS, 1e-4)
-    return Linear(np.concatenate(target), columns, precision, (N,) * EVENTS), rows, thrusts
+    by_event = ColumnsByPart.of(columns, [3 * N] * EVENTS)
+    return Linear(np.concatenate(target), by_event, precision), rows, thrusts
 
 
 def drafts(hidden: np.ndarray, seed: int = 1) -> tuple[Draft, ...]:
@@ -111,7 +113,7 @@ def test_the_change_of_evidence_is_that_of_two_normal_densities() -> None:
     """Δ(a) against scipy's multivariate normal with and without the columns' covariance."""
     rng = np.random.default_rng(3)
     columns, white, target = rng.normal(size=(24, 3)), rng.normal(size=(24, 2)), rng.normal(size=24)
-    linear = Linear(target, columns, np.array([0.5, 2.0, 1.0]), (8,))
+    linear = Linear(target, ColumnsByPart.of(columns, [24]), np.array([0.5, 2.0, 1.0]))
     told = _Information.on(information(linear, target, white))
     plain = np.eye(24) + columns @ np.diag(1.0 / linear.precision) @ columns.T
     a = 0.7

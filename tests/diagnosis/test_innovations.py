@@ -143,10 +143,11 @@ def test_autocorrelations_get_back_what_fitting_takes_out() -> None:
     """Against the covariance of all unknowns, written out: X (XᵀX + P)⁻¹ Xᵀ at every lag."""
     left = left_by(verdict(False))
     linear, found = left.linear, iter(shown(verdict(False)).whiteness)
-    covariance = np.linalg.inv(linear.columns.T @ linear.columns + np.diag(linear.precision))
+    covariance = np.linalg.inv(linear.gram())
+    every = linear.columns.written_out()
     for event, part in zip(left.rows, linear.parts, strict=True):
         n = len(event.time_s)
-        columns = linear.columns[part].reshape(n, 3, -1)
+        columns = every[part].reshape(n, 3, -1)
         in_axes = np.einsum("ab,nbp->anp", event.noise_factor, columns)
         for residual, own in zip(event.residual_n_m_s.T, in_axes, strict=True):
             taken = own @ covariance

@@ -13,6 +13,7 @@ from event_cases import document, eased, priors
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm
 
+from cassini_bayes.balance.part_columns import PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
@@ -185,7 +186,10 @@ def test_linear_gains_are_those_of_the_dense_normal() -> None:
     target = [rng.standard_normal(m) for m in counts]
     added = [rng.standard_normal((m, 1)) for m in counts]
     precision, mean = rng.uniform(0.5, 2.0, p), rng.standard_normal(p)
-    found = information_from_each(columns, target, added, precision, mean)
+    columns[1][:, 2] = 0.0  # which the second event has not
+    found = information_from_each(
+        [PartColumns.of(own) for own in columns], target, added, precision, mean
+    )
     x, y = np.concatenate(columns), np.concatenate(target)
     covariance = np.eye(len(y)) + x @ np.diag(1.0 / precision) @ x.T
     for first, (matrix, vector) in enumerate(found):

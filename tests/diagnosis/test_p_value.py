@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.diagnosis.p_value import line_statistic, p_value
 
 TIME = np.arange(150.0)
@@ -18,7 +19,7 @@ def drawn(rng: np.random.Generator) -> Linear:
     """Whitened data of a linear model with five unknowns."""
     columns = rng.standard_normal((450, 5))
     target = columns @ rng.standard_normal(5) + rng.standard_normal(450)
-    return Linear(target, columns, np.ones(5), (150,))
+    return Linear(target, ColumnsByPart.of(columns, [450]), np.ones(5))
 
 
 def test_p_value_is_uniform_on_the_model() -> None:
@@ -46,5 +47,6 @@ def test_line_statistic_of_one_line_with_gaps() -> None:
     time = np.delete(np.arange(400.0), np.arange(100, 180))
     target = np.zeros((3 * len(time), 1))
     target[1::3, 0] = 2.0 * np.cos(2.0 * np.pi * 0.125 * time)
-    linear = Linear(target[:, 0], np.zeros((len(target), 1)), np.ones(1), (len(time),))
+    nothing = ColumnsByPart.of(np.zeros((len(target), 1)), [len(target)])
+    linear = Linear(target[:, 0], nothing, np.ones(1))
     assert line_statistic(linear, target, [time])[0] == pytest.approx(len(time), rel=0.03)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from cassini_bayes.balance.linearised import Linear, information, information_without_each
+from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import (
@@ -164,7 +165,8 @@ def test_information_without_a_part_is_that_of_the_others() -> None:
     rng = np.random.default_rng(4)
     columns, of_part = rng.normal(size=(36, 6)), np.repeat([0, 1, 2], 12)
     columns[of_part != 0, 4] = columns[of_part == 2, 5] = 0.0  # of one part alone, and of two
-    linear = Linear(rng.normal(size=36), columns, rng.uniform(0.5, 2.0, 6), (4, 4, 4))
+    by_part = ColumnsByPart.of(columns, [12] * 3)
+    linear = Linear(rng.normal(size=36), by_part, rng.uniform(0.5, 2.0, 6))
     further = rng.normal(size=(36, 3))
     for part, told in enumerate(information_without_each(linear, linear.target, further)):
         plain = information(linear, linear.target, further, used=of_part != part)
@@ -179,7 +181,8 @@ def test_information_is_that_of_the_whole_covariance(groups: list[int] | None) -
     columns = rng.normal(size=(48, 7))
     halves = np.repeat([0, 1, 0, 1], 12)
     columns[halves == 0, 5] = columns[halves == 1, 6] = columns[:, 4] = 0.0
-    linear = Linear(rng.normal(size=48), columns, rng.uniform(0.5, 2.0, 7), (4, 4, 4, 4))
+    by_part = ColumnsByPart.of(columns, [12] * 4)
+    linear = Linear(rng.normal(size=48), by_part, rng.uniform(0.5, 2.0, 7))
     further, used = rng.normal(size=(48, 3)), rng.random(48) < 0.8
     for kept in (None, used):
         own = np.ones(48, dtype=bool) if kept is None else kept

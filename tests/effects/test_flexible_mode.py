@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from totals_cases import ROOT
 
 from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.turns import Pieces, WhiteTurns
 from cassini_bayes.computing.arrays import Array
@@ -127,8 +128,8 @@ def event(shown: Array, left: Array, time_s: Array = TIME) -> tuple[EventRows, L
     white = left @ np.linalg.inv(NOISE).T
     none = np.zeros((n, 0))
     rows = EventRows("one", time_s, white, left, shown, none, none, (), (), NOISE, np.zeros((n, 4)))
-    columns = np.kron(np.ones((n, 1)), np.eye(3))
-    return rows, Linear(white.reshape(-1), columns, np.full(3, 1e-6), (n,))
+    columns = ColumnsByPart.of(np.kron(np.ones((n, 1)), np.eye(3)), [3 * n])
+    return rows, Linear(white.reshape(-1), columns, np.full(3, 1e-6))
 
 
 def found_in(shown: Array, left: Array, time_s: Array = TIME) -> Oscillation | None:
@@ -192,19 +193,18 @@ def remainder_with(share: float, line: tuple[float, float], rng: np.random.Gener
         "one", time_s, white, left, measured, none, none, (), (), factor, np.zeros((len(left), 4))
     )
     columns = np.kron(np.ones((len(left), 1)), np.eye(3))
-    linear = Linear(white.reshape(-1), columns, np.full(3, 1e-6), (len(left),))
+    linear = Linear(white.reshape(-1), ColumnsByPart.of(columns, [len(columns)]), np.full(3, 1e-6))
     samples = Samples(time_s, np.zeros((len(left), 4)), measured, none, none, none)
     parameters = {
         f"inertia_{axis * 2}_kg_m2": own for axis, own in zip("xyz", INERTIA, strict=True)
     }
     # attitudes that say nothing
     blind = replace(rows, white=0.0 * white, noise_factor=1e9 * factor)
-    nothing = 0.0 * linear.columns
+    nothing = 0.0 * columns
     both = Linear(
         np.concatenate([linear.target, nothing[:, 0]]),
-        np.concatenate([linear.columns, nothing]),
+        ColumnsByPart.of(np.concatenate([columns, nothing]), [len(columns)] * 2),
         linear.precision,
-        2 * linear.rows,
     )
     return Remainder((samples,), (rows,), linear, parameters, lambda: (both, (rows, blind)))
 

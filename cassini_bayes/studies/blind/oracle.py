@@ -156,8 +156,7 @@ def classifier(
     none = none_hypothesis(events)
     linear, _ = linearise(none, base.point)
     # departures count from the centre of the prior, not from the mode
-    d = len(base.point)
-    target = linear.target + linear.columns[:, :d] @ base.point
+    target = linear.about_prior_mean(base.point)
     sides: list[Side] = []
     columns: list[Array] = []
     for effect in events.catalogue.effects:
@@ -243,7 +242,7 @@ def _columns(
     linear, _ = linearise(extended, np.concatenate([base.point, rest]))
     d = len(base.point)
     sized = [i for i, p in enumerate(effect.parameters) if p.distribution.name != "lognorm"]
-    return np.asarray(linear.columns[:, [d + i for i in sized]])
+    return linear.columns.chosen(np.array([d + i for i in sized], dtype=np.intp)).written_out()
 
 
 def _add_attitude(gram: Array, score: Array, events: Events, sides: Sequence[Side]) -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cassini_bayes.balance.linearised import Linear, fitted_away, whitened, with_unknowns
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
@@ -64,7 +65,7 @@ def at_truth(events: Events, truth: Truth, *, noisy: bool = False) -> View:
         {name: truth.parameters.get(name, means[name].mean()) for name in names}
     )
     linear, factors = linearise(none, point, smooth_channels=noisy)
-    left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.shape[1])
+    left = linear.target - linear.columns @ _known(none, events, truth, linear.columns.width)
     times = tuple(event.usable_rows.time_s for event in events.telemetry)
     return View(events, none, point, linear, left, tuple(factors), times)
 
@@ -213,5 +214,12 @@ def _common_rows(
 
 def _rows_of(linear: Linear, places: Places, times: Sequence[Array]) -> Linear:
     """The linear model of some of its rows."""
-    counts = tuple(len(time) for time in times)
-    return Linear(linear.target[places], linear.columns[places], linear.precision, counts)
+    ends = np.cumsum([3 * len(time) for time in times])[:-1]
+    parts = tuple(
+        PartColumns(known.places, known.values[own - whole.start])
+        for known, whole, own in zip(
+            linear.columns.parts, linear.parts, np.split(places, ends), strict=True
+        )
+    )
+    columns = ColumnsByPart(parts, linear.columns.width)
+    return Linear(linear.target[places], columns, linear.precision)
