@@ -13,11 +13,15 @@ WITHIN: Final = 1.6449  # standard deviations of a normal that hold 90 % of it
 LEAST_PIECES: Final = 3
 """Held out: the standard error of a sum over two of them has one degree of freedom (judgement)."""
 STANDARD_ERRORS: Final = 2.0
-"""By which a gain has to be above zero: 2.5 % false gains if differences were normal. Severe with
-three unlike events, by choice: docs/topics/criticism.md §5 has a true leak that stays "no gain"."""
+"""By which a gain has to be above zero: 2.5 % false gains if differences were normal."""
 WORSE: Final = 1.02
 """Ratio of held-out RMSEs beyond which residuals are worse: two standard errors of the RMSE of some
 5,000 white values, which a few biases of 1,200 rows about three axes have."""
+SURE_NATS: Final = 20.0
+"""A gain of unlike events, of which one may have nearly all: chance has it once in e^20 flights
+(docs/topics/criticism.md §5)."""
+LOST_NATS: Final = 3.0
+"""By which an event may be predicted worse then: a true model loses as much of one in twenty."""
 
 
 @dataclass(frozen=True)
@@ -48,27 +52,34 @@ class HeldOut:
 
     def gain_over(self, other: HeldOut) -> Gain:
         """What this hypothesis gains over another."""
-        total, error = summed(self.log_scores - other.log_scores)
-        return Gain(total, error, self.rmse / other.rmse)
+        differences = self.log_scores - other.log_scores
+        return Gain(*summed(differences), self.rmse / other.rmse, float(differences.min()))
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Sum of differences of log scores, nats, its standard error, and the ratio of the RMSEs."""
+    """Sum of differences of log scores, nats, its standard error, and the ratio of the RMSEs.
+
+    ``least`` is the smallest difference, nats: of the event that is predicted worst.
+    """
 
     nats: float
     standard_error: float
     rmse_ratio: float
+    least: float
 
     @property
     def verdict(self) -> str:
         """``gain`` or ``no gain``.
 
         It takes log scores better by more than two standard errors *and* residuals no larger than
-        before: a model may score better by wider error bars alone, and that extends nothing.
+        before: a model may score better by wider error bars alone, and that extends nothing. Where
+        events are unlike and one has nearly all of it, no standard error is small. Then it takes
+        residuals that are smaller, a sum that chance does not have, and no event that loses.
         """
-        is_gain = self.nats > STANDARD_ERRORS * self.standard_error and self.rmse_ratio <= WORSE
-        return "gain" if is_gain else "no gain"
+        is_even = self.nats > STANDARD_ERRORS * self.standard_error and self.rmse_ratio <= WORSE
+        is_sure = self.nats > SURE_NATS and self.least > -LOST_NATS and self.rmse_ratio < 1 / WORSE
+        return "gain" if is_even or is_sure else "no gain"
 
 
 def summed(scores: Array) -> tuple[float, float]:

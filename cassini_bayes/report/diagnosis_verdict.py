@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from cassini_bayes.diagnosis.case import UNKNOWN
 from cassini_bayes.diagnosis.diagnosis import SIGNIFICANT
-from cassini_bayes.diagnosis.score import STANDARD_ERRORS
+from cassini_bayes.diagnosis.score import STANDARD_ERRORS, SURE_NATS
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
 from cassini_bayes.effects.wording import rounded
 
@@ -157,10 +157,14 @@ def _no_gain(record: Record) -> list[str]:
         if gain["elpd_diff"] <= STANDARD_ERRORS * gain["elpd_diff_se"]
         else "with residuals that do not get smaller"
     )
+    why = (
+        ": the others already tell the baseline how to bend, so that it predicts nearly as well"
+        if gain["elpd_diff"] <= SURE_NATS
+        else ""
+    )
     return [
-        f"Events held out show no sure gain ({what}): the others already tell the baseline how to "
-        "bend, so that it predicts nearly as well. The cause is named by the probability of all "
-        "events together."
+        f"Events held out show no sure gain ({what}){why}. The cause is named by the probability "
+        "of all events together."
     ]
 
 

@@ -31,6 +31,9 @@ def test_no_sure_gain_beside_a_probable_cause_is_explained() -> None:
     gain = named()["gain"] | {"elpd_diff": 1.7, "elpd_diff_se": 5.7, "verdict": "no gain"}
     sentences = verdict_sentences(named(gain=gain))
     assert any("no sure gain (less than two standard errors" in s for s in sentences)
+    assert any("predicts nearly as well" in s for s in sentences)
+    large = gain | {"elpd_diff": 600.0, "elpd_diff_se": 580.0}
+    assert not any("predicts nearly as well" in s for s in verdict_sentences(named(gain=large)))
 
 
 @pytest.mark.parametrize(("p", "expected"), [(0.02, "chance alone leaves as much"), (0.5, "")])

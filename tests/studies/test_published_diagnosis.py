@@ -49,12 +49,18 @@ def test_one_estimate_cannot_be_left_out() -> None:
         ([2.0, 3.0, 2.5], 5.0, "no gain"),
         ([9.0, 0.1, -0.2], 0.9, "no gain"),
         ([-1.0, -1.1], 0.9, "no gain"),
+        ([4.5, 5.5, 228.0], 0.8, "gain"),
+        ([4.5, 5.5, 228.0], 1.0, "no gain"),
+        ([4.5, -5.5, 228.0], 0.8, "no gain"),
     ],
 )
-def test_gain_takes_two_standard_errors(
+def test_gain_takes_two_standard_errors_or_what_chance_never_has(
     differences: list[float], ratio: float, verdict: str
 ) -> None:
-    """A sum that one event makes alone, a loss, or larger residuals are no gain."""
+    """A sum that one event makes alone, a loss, or larger residuals are no gain.
+
+    Unless the sum is large, no event loses, and residuals are smaller.
+    """
     base = HeldOut(np.zeros(len(differences)), 1.0, 0.9)
     scores = {"cause": HeldOut(np.array(differences), ratio, 0.9)}
     assert gain_table("each event", "N", base, scores).endswith(f" | {ratio:.3f} | {verdict} |")
