@@ -34,6 +34,7 @@ from cassini_bayes.diagnosis.evidence import (
     MARGIN_NATS,
     by_laplace,
     importance_sampled,
+    searched_from_best,
     weigh_extensions,
     with_draws,
 )
@@ -201,6 +202,7 @@ class BalanceCase(Case[Hypothesis]):
             )
             gains = gains_about(full, np.zeros(len(base.point)), causes, events)
             causes = _from_centre(causes, gains, unknown_mode, workers)
+        causes = searched_from_best(causes, base, workers)
         weighed += _beside_best_beginning(causes, workers)
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:

@@ -116,7 +116,8 @@ def find_mode(
 
     The search is in the coordinates u of z = start + axes u; ``axes`` (d, d) is the identity by
     default. Axes of about a standard deviation each make it short where scales differ. It ends when
-    a step gains less than ``tolerance`` of the density's own size.
+    a step gains less than ``tolerance`` of the density's own size. Beside points of no density an
+    axis has no slope.
 
     Raises
     ------
@@ -130,8 +131,9 @@ def find_mode(
     def objective(u: Array) -> tuple[float, Array]:
         z = start + turned @ u
         values = log_density(np.vstack([z, z + steps, z - steps]))
-        gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * step)
-        return -float(values[0]), -gradient
+        with np.errstate(invalid="ignore"):
+            gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * step)
+        return -float(values[0]), -np.where(np.isfinite(gradient), gradient, 0.0)
 
     if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
@@ -146,6 +148,8 @@ def hessian(
     """Gradient (d,) and second derivatives (d, d) at a point by central differences in one batch.
 
     Both are in the coordinates u of z = point + axes u; ``axes`` (d, d) is the identity by default.
+    What steps to points of no density would tell stays as the axes have it: a second derivative of
+    minus one, no mixed ones, no slope.
     """
     d = len(point)
     h = step
@@ -154,12 +158,14 @@ def hessian(
     both = unit[rows] + unit[columns]
     values = log_density(point + np.vstack([np.zeros((1, d)), unit, -unit, both, -both]))
     plus, minus = values[1 : d + 1], values[d + 1 : 2 * d + 1]
-    pairs = values[2 * d + 1 :].reshape(2, -1).sum(0) - 2.0 * values[0]
-    alone = plus + minus - 2.0 * values[0]
-    result = np.diag(alone / h**2)
-    mixed = (pairs - alone[rows] - alone[columns]) / (2.0 * h**2)
-    result[rows, columns] = result[columns, rows] = mixed
-    return (plus - minus) / (2.0 * h), result
+    with np.errstate(invalid="ignore"):
+        pairs = values[2 * d + 1 :].reshape(2, -1).sum(0) - 2.0 * values[0]
+        alone = plus + minus - 2.0 * values[0]
+        mixed = (pairs - alone[rows] - alone[columns]) / (2.0 * h**2)
+        slope = (plus - minus) / (2.0 * h)
+    result = np.diag(np.where(np.isfinite(alone), alone / h**2, -1.0))
+    result[rows, columns] = result[columns, rows] = np.where(np.isfinite(mixed), mixed, 0.0)
+    return np.where(np.isfinite(slope), slope, 0.0), result
 
 
 def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:

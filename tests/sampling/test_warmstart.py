@@ -57,6 +57,23 @@ def test_hessian_is_that_of_a_quadratic() -> None:
     assert gradient == pytest.approx(-precision @ np.full(6, 0.3), rel=1e-7, abs=1e-7)
 
 
+def test_a_wall_beside_the_point_leaves_curvature_finite() -> None:
+    """Where a step reaches points of no density the axes stay, and the others' curvature is told.
+
+    It had been infinite, and its eigenvalues "did not converge".
+    """
+
+    def walled(z: Array) -> Array:
+        inside = -0.5 * (z**2 @ np.array([1.0, 4.0, 9.0]))
+        return np.where(z[:, 0] < 1e-4, inside, -np.inf)
+
+    gradient, found = hessian(walled, np.zeros(3))
+    assert found == pytest.approx(np.diag([-1.0, -4.0, -9.0]), abs=1e-6)
+    assert gradient == pytest.approx(np.zeros(3), abs=1e-9)
+    _, factor = laplace(walled, np.zeros(3))
+    assert np.isfinite(factor).all()
+
+
 def test_laplace_of_a_stiff_density() -> None:
     """Directions a thousand times stiffer than others, and curved, do not spoil the covariance."""
     scale = np.array([1.0, 1e-3, 0.3, 1e-3])
