@@ -291,7 +291,10 @@ def _whitening_axes(density: LogDensity, point: Array, base: Mode, extra: int) -
 
 
 def _effect_rows(density: LogDensity, point: Array, axes: Array, d: int) -> _Rows:
-    """Value, slope and curvature along ``axes``: the unit matrix but for the effect's own rows."""
+    """Value, slope and curvature along ``axes``: the unit matrix but for the effect's own rows.
+
+    Steps to points of no density leave the unit matrix, and no slope.
+    """
     size = axes.shape[1]
     inner, slope = np.eye(size), np.zeros(size)
     h, unit = CURVATURE_STEP, axes.T
@@ -300,13 +303,15 @@ def _effect_rows(density: LogDensity, point: Array, axes: Array, d: int) -> _Row
         away = np.stack([h * unit[i], -h * unit[i]])
         moves += [away, (away[:, None] + STEP * unit[:i]).reshape(-1, len(point))]
     here, *of_moves = _by_move(density, point, moves)
-    for i, both, beside in zip(range(d, size), of_moves[::2], of_moves[1::2], strict=True):
-        slopes = (beside.reshape(2, i) - both[:, None]) / STEP
-        inner[i, :i] = inner[:i, i] = -(slopes[0] - slopes[1]) / (2.0 * h)
-        inner[i, i] = (2.0 * here[0] - both.sum()) / h**2
-        slope[i] = (both[0] - both[1]) / (2.0 * h)
+    with np.errstate(invalid="ignore"):
+        for i, both, beside in zip(range(d, size), of_moves[::2], of_moves[1::2], strict=True):
+            slopes = (beside.reshape(2, i) - both[:, None]) / STEP
+            inner[i, :i] = inner[:i, i] = -(slopes[0] - slopes[1]) / (2.0 * h)
+            inner[i, i] = (2.0 * here[0] - both.sum()) / h**2
+            slope[i] = (both[0] - both[1]) / (2.0 * h)
     slope[:d] = slopes.mean(0)[:d] + 0.5 * STEP
-    return _Rows(float(here[0]), slope, inner)
+    told, rows = np.isfinite(inner), np.isfinite(slope)
+    return _Rows(float(here[0]), np.where(rows, slope, 0.0), np.where(told, inner, np.eye(size)))
 
 
 def _by_move(density: LogDensity, point: Array, moves: Sequence[Array]) -> list[Array]:

@@ -347,3 +347,16 @@ def test_a_cause_in_a_valley_is_searched_from_the_best_ones_nuisances(
     expected = [4.0, 1.0] if is_moved else [0.0, 0.0]
     assert again[1].mode.point == pytest.approx(expected, abs=0.01)
     assert (again[1].log_evidence > again[0].log_evidence) == is_moved
+
+
+def test_a_wall_beside_the_baseline_does_not_end_a_search() -> None:
+    """Values of no density within a step: the search ends at what there is. It had raised."""
+    free = linear(np.array([[3.0, 0.0], [0.0, 2.0]]), np.array([0.0, 4.0]))
+
+    def walled(z: Array) -> Array:
+        return np.where(z[:, 0] < 1e-5, free(z), -np.inf)
+
+    base = Mode(np.zeros(1), np.array([[10.0**-0.5]]), float(free(np.zeros((1, 2)))[0]))
+    found = newton_search(hypothesis(walled, 2), base)
+    assert found.mode.point == pytest.approx([0.0, 1.6], abs=0.1)
+    assert np.isfinite(found.mode.log_evidence)
