@@ -20,6 +20,8 @@ WORSE: Final = 1.02
 SURE_NATS: Final = 20.0
 """A gain of unlike events, of which one may have nearly all: chance has it once in e^20 flights
 (docs/topics/criticism.md §5)."""
+SMALLER: Final = 0.9
+"""Ratio of held-out RMSEs that it takes then: two standard errors of the RMSE of 200 values."""
 LOST_NATS: Final = 3.0
 """By which an event may be predicted worse then: a true model loses as much of one in twenty."""
 
@@ -75,10 +77,10 @@ class Gain:
         It takes log scores better by more than two standard errors *and* residuals no larger than
         before: a model may score better by wider error bars alone, and that extends nothing. Where
         events are unlike and one has nearly all of it, no standard error is small. Then it takes
-        residuals that are smaller, a sum that chance does not have, and no event that loses.
+        residuals clearly smaller, a sum that chance does not have, and no event that loses.
         """
         is_even = self.nats > STANDARD_ERRORS * self.standard_error and self.rmse_ratio <= WORSE
-        is_sure = self.nats > SURE_NATS and self.least > -LOST_NATS and self.rmse_ratio < 1 / WORSE
+        is_sure = self.nats > SURE_NATS and self.least > -LOST_NATS and self.rmse_ratio < SMALLER
         return "gain" if is_even or is_sure else "no gain"
 
 
