@@ -307,12 +307,9 @@ def information_from_each(
     precision, mean
         Of the unknowns' prior, (p,).
     """
-    gram, seen = np.diag(precision), precision * mean
-    for own, y in zip(columns, target, strict=True):
-        gram[np.ix_(own.places, own.places)] += own.values.T @ own.values
-        seen[own.places] += own.values.T @ y
-    factor = cho_factor(gram, lower=True)
-    fitted = cho_solve(factor, seen)
+    every = ColumnsByPart(tuple(columns), len(mean))
+    factor = cho_factor(every.gram() + np.diag(precision), lower=True)
+    fitted = cho_solve(factor, every.along(np.concatenate(target)) + precision * mean)
     size = added[0].shape[1]
     across, square, along = np.zeros((len(mean), size)), np.zeros((size, size)), np.zeros(size)
     matrices = []

@@ -26,7 +26,7 @@ from cassini_bayes.diagnosis.modes import (
     mode_near,
     mode_of,
 )
-from cassini_bayes.sampling.warmstart import lower_factor
+from cassini_bayes.sampling.warmstart import lower_factor, told
 
 ROUNDING: Final = 1e-6
 """Nats by which the same point may differ between batches: a log density of 1e5 has 1e-11 of its
@@ -310,8 +310,7 @@ def _effect_rows(density: LogDensity, point: Array, axes: Array, d: int) -> _Row
             inner[i, i] = (2.0 * here[0] - both.sum()) / h**2
             slope[i] = (both[0] - both[1]) / (2.0 * h)
     slope[:d] = slopes.mean(0)[:d] + 0.5 * STEP
-    told, rows = np.isfinite(inner), np.isfinite(slope)
-    return _Rows(float(here[0]), np.where(rows, slope, 0.0), np.where(told, inner, np.eye(size)))
+    return _Rows(float(here[0]), told(slope, 0.0), told(inner, np.eye(size)))
 
 
 def _by_move(density: LogDensity, point: Array, moves: Sequence[Array]) -> list[Array]:

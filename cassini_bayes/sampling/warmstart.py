@@ -133,7 +133,7 @@ def find_mode(
         values = log_density(np.vstack([z, z + steps, z - steps]))
         with np.errstate(invalid="ignore"):
             gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * step)
-        return -float(values[0]), -np.where(np.isfinite(gradient), gradient, 0.0)
+        return -float(values[0]), -told(gradient, 0.0)
 
     if not np.isfinite(log_density(start[None])).all():
         raise CassiniBayesError("the posterior is not finite at the centre of the prior")
@@ -163,9 +163,14 @@ def hessian(
         alone = plus + minus - 2.0 * values[0]
         mixed = (pairs - alone[rows] - alone[columns]) / (2.0 * h**2)
         slope = (plus - minus) / (2.0 * h)
-    result = np.diag(np.where(np.isfinite(alone), alone / h**2, -1.0))
-    result[rows, columns] = result[columns, rows] = np.where(np.isfinite(mixed), mixed, 0.0)
-    return np.where(np.isfinite(slope), slope, 0.0), result
+    result = np.diag(told(alone / h**2, -1.0))
+    result[rows, columns] = result[columns, rows] = told(mixed, 0.0)
+    return told(slope, 0.0), result
+
+
+def told(differences: Array, otherwise: Array | float) -> Array:
+    """Differences of a log density, something else where a step came to a point of no density."""
+    return np.where(np.isfinite(differences), differences, otherwise)
 
 
 def laplace(log_density: LogDensity, start: Array) -> tuple[Array, Array]:
