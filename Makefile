@@ -54,7 +54,7 @@ format: $(DEV_READY) ## put the code into the project's format
 
 docs: $(DEV_READY) ## the documentation, in docs/_build/html
 	@rm -rf docs/_api
-	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/sphinx-build -j auto -W --keep-going -q -b html docs docs/_build/html
 	@echo "docs: docs/_build/html/index.html"
 
 bench: $(DEV_READY) ## the speed benchmark (other samplers: benchmarks/README.md)

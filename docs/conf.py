@@ -63,8 +63,21 @@ def _wide_parts_take_focus(app, page, template, context, doctree):
     context["body"] = body.replace('<div class="table-w', '<div tabindex="0" class="table-w')
 
 
+def _modules_are_listed_beside_modules(app, page, template, context, doctree):
+    """Beside a page of a module its own branch, beside others two levels: no list of modules.
+
+    Hundreds of names beside every page hide the few that are looked for, and took half of a build.
+    """
+    of_all = context.get("toctree")
+    if of_all is not None:
+        is_module = page.startswith(("_api/", "reference/modules"))
+        depth = {"collapse": True} if is_module else {"maxdepth": 2}
+        context["toctree"] = lambda **options: of_all(**options | depth)
+
+
 def setup(app):
     """Hook the docstrings after napoleon has read them, and pages before they are written."""
     app.connect("html-page-context", _wide_parts_take_focus)
+    app.connect("html-page-context", _modules_are_listed_beside_modules, priority=400)
     app.connect("autodoc-skip-member", _documented_elsewhere)
     app.connect("autodoc-process-docstring", _bars_are_magnitudes, priority=900)
