@@ -34,7 +34,6 @@ from cassini_bayes.diagnosis.evidence import (
     MARGIN_NATS,
     by_laplace,
     importance_sampled,
-    searched_from_best,
     weigh_extensions,
     with_draws,
 )
@@ -48,9 +47,16 @@ from cassini_bayes.diagnosis.hypotheses import (
     unknown_hypothesis,
 )
 from cassini_bayes.diagnosis.innovations import examined, innovations, left_by
-from cassini_bayes.diagnosis.modes import Mode, find_mode, highest, mode_from
+from cassini_bayes.diagnosis.modes import Mode, find_mode, highest
 from cassini_bayes.diagnosis.nuisances import Trade, nuisance_shifts, traded
-from cassini_bayes.diagnosis.onsets import Beginnings, begins_with, gains_about
+from cassini_bayes.diagnosis.onsets import Beginnings, gains_about
+from cassini_bayes.diagnosis.other_starts import (
+    from_best,
+    from_best_beginning,
+    from_centre,
+    is_far_from_prior,
+    is_mended,
+)
 from cassini_bayes.diagnosis.overlay import Overlay, overlays
 from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.refit import fit_extended
@@ -77,18 +83,6 @@ Laplace's evidence agreed with 200 draws to 0.11 nats (root mean square; 0.54 at
 of two diagnoses with nothing hidden."""
 MOST_DRAWN: Final = 3  # of the best: what a reader compares
 DRAWS: Final = 2_000  # of these: 0.015 nats at an efficiency of 0.7, and sizes by their draws
-FAR_FROM_PRIOR: Final = 5.0
-"""Prior standard deviations of the baseline's parameters: with an inertia of half its value (ten of
-them) no search from the baseline's mode found the cause, 28,000 nats better
-(docs/topics/criticism.md §1). Five is judgement: a search from the centre takes as long as all
-others."""
-TOGETHER: Final = 4  # causes searched from the centre at once: two for each of two processes
-GAINED_ALIKE: Final = 0.1
-"""Of what the best gains: causes nearer than that may be the same one seen from another side
-(judgement), and are searched alike."""
-MOST_FROM_CENTRE: Final = 16
-"""Causes searched from the centre: judgement, a quarter of those that there are. By their linear
-models there, a leak of 50 standard deviations came first (docs/topics/criticism.md §1)."""
 HOPED_NATS: Final = 10.0
 """By which what a search found may be short of its evidence: judgement, its score is that of a
 linear model about one point, and the fit moves on."""
@@ -195,15 +189,15 @@ class BalanceCase(Case[Hypothesis]):
             what = "searches for further beginnings"
             _, near = _side_by_side((), (), further, base, what, workers)
             causes += weigh_extensions(further, near, base, log, workers, floor)
-        if causes and _is_far_from_prior(base.point) and not _is_explained(causes, unknown_mode):
+        if causes and is_far_from_prior(base.point) and not is_mended(causes, unknown_mode):
             log(
                 "no cause mends a baseline that bent: searched from the centre of the prior, "
                 "best first"
             )
             gains = gains_about(full, np.zeros(len(base.point)), causes, events)
-            causes = _from_centre(causes, gains, unknown_mode, workers)
-        causes = searched_from_best(causes, base, workers)
-        weighed += _beside_best_beginning(causes, workers)
+            causes = from_centre(causes, gains, unknown_mode, workers)
+        causes = from_best(causes, base, workers)
+        weighed += from_best_beginning(causes, workers)
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
@@ -497,80 +491,6 @@ def _side_by_side(
     results: list[Any] = workers.results(what, work, kinds, arviz)
     first = len(modes) + len(to_find)
     return results[:first], results[first:]
-
-
-def _beside_best_beginning(causes: Sequence[Candidate], workers: StageRunner) -> list[Candidate]:
-    """The causes, other beginnings of the best one searched once more, from its own mode.
-
-    Where the baseline bent, a search from there may end in a valley. Beginnings of one cause are
-    alike, so that the mode of one is near that of another; and the likeliest of a cause that ended
-    in a valley would be that of fewer events.
-    """
-    best = max(causes, key=lambda own: own.net_evidence, default=None)
-    if best is None or not begins_with(best):
-        return list(causes)
-    others = [own for own in causes if own.name == best.name and own is not best]
-    searches = [partial(mode_from, own.hypothesis.log_density, best.mode) for own in others]
-    modes = dict(zip(map(id, others), workers.results("", searches, Mode), strict=True))
-    return [
-        by_laplace(own.hypothesis, modes[id(own)])
-        if id(own) in modes and modes[id(own)].log_evidence > own.log_evidence
-        else own
-        for own in causes
-    ]
-
-
-def _is_far_from_prior(point: Array) -> bool:
-    return bool(np.abs(point).max() > FAR_FROM_PRIOR)
-
-
-def _is_explained(causes: Sequence[Candidate], unknown: Mode) -> bool:
-    """Whether the best cause beats ``unknown`` and leaves the baseline's parameters near theirs.
-
-    How large the cause itself is does not matter.
-    """
-    best = max(causes, key=lambda cause: cause.log_evidence)
-    beside = best.mode.point[: best.hypothesis.sizes.start]
-    return best.log_evidence > unknown.log_evidence and not _is_far_from_prior(beside)
-
-
-def _from_centre(
-    causes: Sequence[Candidate], gains: Sequence[float], unknown: Mode, workers: StageRunner
-) -> list[Candidate]:
-    """Causes searched from the centre of the prior, the best first, until one mends the baseline.
-
-    ``gains`` are those of their linear models about the centre (nats). Causes go in parts of at
-    most :data:`TOGETHER` that gain nearly alike, so that what the data cannot tell apart is
-    searched alike.
-    """
-    candidates = list(causes)
-    order = sorted(range(len(candidates)), key=lambda i: -gains[i])[:MOST_FROM_CENTRE]
-    while order:
-        least = gains[order[0]] - GAINED_ALIKE * max(gains[order[0]], 0.0)
-        part = [i for i in order[:TOGETHER] if gains[i] >= least]
-        order = order[len(part) :]
-        each = [partial(_higher_from_centre, causes[i]) for i in part]
-        modes = workers.results("searches from the centre of the prior", each, Mode | None)
-        for i, mode in zip(part, modes, strict=True):
-            if mode is not None:
-                candidates[i] = by_laplace(causes[i].hypothesis, mode)
-        if _is_explained(candidates, unknown):
-            break
-    return candidates
-
-
-def _higher_from_centre(weighed: Candidate) -> Mode | None:
-    """The mode of a search that does not begin where the baseline was bent to, if it is higher.
-
-    It begins with no effect or with one of the size found so far, whatever is likelier: one that is
-    far larger than its prior expects is too far from none.
-    """
-    hypothesis = weighed.hypothesis
-    starts = np.zeros((2, hypothesis.dimension))
-    starts[1, hypothesis.sizes] = weighed.mode.point[hypothesis.sizes]
-    start = starts[int(hypothesis.log_density(starts).argmax())]
-    mode = find_mode(hypothesis.log_density, hypothesis.dimension, start)
-    return mode if mode.log_evidence > weighed.log_evidence else None
 
 
 def _sampled_near_best(

@@ -9,20 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.modes import LogDensity, Mode, mode_from
 from cassini_bayes.diagnosis.search import (
-    NEAR_GAIN,
-    NEAR_STARTS,
     UNSURE_NATS,
     ModeSearch,
     has_moved,
     higher_of,
     search_from_starts,
-    starts,
     with_whole_curvature,
 )
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
@@ -50,9 +46,6 @@ are lost where they do not."""
 MARGIN_NATS: Final = 30.0
 """Behind the best, what is not searched further: its probability is below 1e-13, and with what
 searches may still lack (``search.LACKING_NATS``) no rank within ten nats changes."""
-MOST_BESTS: Final = 3
-"""Causes in turn whose mode the others are searched from: judgement, one is enough where there are
-two valleys."""
 MOVED_NATS: Final = 10.0
 """By which Laplace's evidence is held to be unsure where nuisances went far
 (docs/topics/criticism.md §1): judgement, so that importance draws decide whatever is within ten
@@ -118,45 +111,6 @@ def worth_continuing(searches: Sequence[ModeSearch], floor: float) -> list[int]:
     reached = [s.mode.log_evidence + s.lacking for s in searches]
     due = [i for i, s in enumerate(searches) if s.lacking > UNSURE_NATS and reached[i] > least]
     return sorted(due, key=lambda i: -searches[i].mode.log_evidence)
-
-
-def searched_from_best(
-    causes: Sequence[Candidate], base: Mode, workers: StageRunner = SERIAL
-) -> list[Candidate]:
-    """Causes searched once more with the nuisances of the best one, where they are likelier there.
-
-    Where the baseline is bent a search beside it may end in a valley: a leak, with a tail-off that
-    is longer than the prior has it, ended ninety nats behind a steady torque that is like it. One
-    batch of sizes tells. Causes that gain next to nothing beside the baseline ``base`` are left.
-    """
-    found, d = list(causes), len(base.point)
-    least, seen = base.log_evidence + NEAR_GAIN, set[int]()
-    for _ in range(MOST_BESTS):
-        best = max(range(len(found)), key=lambda i: found[i].log_evidence, default=-1)
-        if best < 0 or best in seen or found[best].log_evidence < least:
-            break
-        seen.add(best)
-        mode = found[best].mode
-        others = [i for i, c in enumerate(found) if i != best and c.log_evidence > least]
-        each = [partial(_higher_from, found[i], mode.point[:d]) for i in others]
-        higher = workers.results("searches from the best cause", each, Mode | None)
-        for i, own in zip(others, higher, strict=True):
-            if own is not None:
-                found[i] = by_laplace(found[i].hypothesis, own)
-    return found
-
-
-def _higher_from(weighed: Candidate, nuisances: Array) -> Mode | None:
-    """The mode of a search from some nuisances (d,), if one may begin there and comes higher."""
-    density, own = weighed.hypothesis.log_density, weighed.mode
-    sizes = own.point[len(nuisances) :]
-    tried = np.vstack([sizes, starts(len(sizes), NEAR_STARTS)])
-    points = np.column_stack([np.tile(nuisances, (len(tried), 1)), tried])
-    values = density(points)
-    if not np.nanmax(values) > own.value + LEAST_HIGHER:
-        return None
-    found = mode_from(density, replace(own, point=points[int(np.nanargmax(values))]))
-    return found if found.log_evidence > own.log_evidence else None
 
 
 def importance_sampled(

@@ -16,7 +16,6 @@ from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.evidence import (
     by_laplace,
     importance_sampled,
-    searched_from_best,
     weigh_extensions,
     worth_continuing,
 )
@@ -312,41 +311,6 @@ def test_draws_that_reach_a_higher_mode_lead_to_it(
     else:
         assert found.mode.point[0] == pytest.approx(0.0, abs=0.01)
         assert effective < 100.0
-
-
-def two_valleys(wanted: float, odds: float) -> Callable[[Array], Array]:
-    """A nuisance with a peak at 0 and one at 4, far higher if the size is as ``wanted``."""
-
-    def density(z: Array) -> Array:
-        fit = -0.5 * ((z[:, 1] - wanted) / 0.1) ** 2
-        at = [-0.5 * ((z[:, 0] - place) / 0.1) ** 2 for place in (0.0, 4.0)]
-        return np.asarray(np.logaddexp(30.0 + at[0] - 0.5 * z[:, 1] ** 2, odds + at[1] + fit))
-
-    return density
-
-
-@pytest.mark.parametrize(("odds", "is_moved"), [(100.0, True), (20.0, False)])
-def test_a_cause_in_a_valley_is_searched_from_the_best_ones_nuisances(
-    odds: float, is_moved: bool
-) -> None:
-    """Two causes alike, one of which ended beside the bent baseline; the true one comes first.
-
-    Control: where the other valley is no better the cause stays where it was found.
-    """
-    best = hypothesis(two_valleys(0.7, 90.0), 2, "like it")
-    true = hypothesis(two_valleys(1.0, odds), 2, "true")
-    base = Mode(np.zeros(1), 0.1 * np.eye(1), 20.0)
-    starts = [np.array([4.0, 0.7]), np.zeros(2)]
-    found = [
-        by_laplace(own, find_mode(own.log_density, 2, start))
-        for own, start in zip((best, true), starts, strict=True)
-    ]
-    assert found[1].mode.point == pytest.approx(np.zeros(2), abs=0.01)
-    again = searched_from_best(found, base)
-    assert again[0] is found[0]
-    expected = [4.0, 1.0] if is_moved else [0.0, 0.0]
-    assert again[1].mode.point == pytest.approx(expected, abs=0.01)
-    assert (again[1].log_evidence > again[0].log_evidence) == is_moved
 
 
 def test_a_wall_beside_the_baseline_does_not_end_a_search() -> None:
