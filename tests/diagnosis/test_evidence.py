@@ -14,7 +14,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis import evidence, modes
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.evidence import (
-    by_laplace,
     importance_sampled,
     weigh_extensions,
     worth_continuing,
