@@ -79,6 +79,7 @@ LEAST_SPAN: Final = 1e-9  # s, or s of firing: a guard against division by 0
 LEAST_IMPULSE: Final = 1e-9  # N m s, of events that fire nothing: the same
 SHARED: Final = 3.0
 """Rows that a rounding error counts for (by trial, on pulses of 30 to 250 ms in steps of 125)."""
+RESTING: Final = 3  # printed values of a wheel at rest: one, its neighbours, and no motion
 MOST_SIGMAS: Final = 5.0
 """Widths to which departures are held where it is asked how much momentum stays open: what nobody
 believes explains nothing (judgement)."""
@@ -241,6 +242,7 @@ class Momentum:
     per_row: int  # equations that a row brings
     counts: int  # second differences
     rounding: Array  # (K,) s², variance that a rounded counter brings to a row
+    rest: Array  # (W,) (rad/s)², the same of a wheel that rests between two printed values
     on_time_s: Array  # (K,) gained in all rows
     pulses: Array  # (K,)
     most_noise: float = np.inf  # where rates are as recorded
@@ -252,9 +254,9 @@ class Momentum:
         """
         targets = corrected(self.columns, nominal.exchanges, correction)
         square = float(np.einsum("ph,ph->h", targets, self.steps @ targets).min())
-        rounded = float(np.sum(nominal.torques**2 @ self.rounding)) / 3.0
+        rounded = np.sum(nominal.torques**2 @ self.rounding + nominal.spins**2 @ self.rest) / 3.0
         bent = square / (6.0 * self.per_row * self.counts)
-        found = float(np.sqrt(max(bent + rounded, LEAST_NOISE**2)))
+        found = float(np.sqrt(max(bent + float(rounded), LEAST_NOISE**2)))
         as_recorded = np.array_equal(correction.rate, np.eye(3))
         return min(found, self.most_noise) if as_recorded else found
 
@@ -661,10 +663,10 @@ def momentum_of(
         smooth[max(row - 2, 0) : row] = False  # a wheel that jumps is no noise
     bends = (table[2:] - 2.0 * table[1:-1] + table[:-2])[smooth].reshape(-1, columns.size)
     gram, steps = flat.T @ flat, bends.T @ bends
-    counts, rounding = int(np.count_nonzero(smooth)), rounding_of(rows)
+    counts, roundings = int(np.count_nonzero(smooth)), (rounding_of(rows), rest_of(rows.wheel_rpm))
     on_time_s, pulses = (each[-1] - each[0] for each in (rows.on_time_s, rows.pulses))
     return Momentum(
-        *(columns, flat, gram, steps, count, per_row, counts, rounding, on_time_s, pulses)
+        *(columns, flat, gram, steps, count, per_row, counts, *roundings, on_time_s, pulses)
     )
 
 
@@ -721,6 +723,28 @@ def rounding_of(rows: Rows) -> Array:
     gains = [np.unique(np.round(np.append(column, 0.0), 6)) for column in on.T]
     step = [float(np.diff(each).min(initial=np.inf)) for each in gains]
     return np.where(rounded, SHARED * np.square(step) / 12.0, 0.0)
+
+
+def is_resting(wheel_rpm: Array) -> NDArray[np.bool_]:
+    """Whether each wheel (W,) shows :data:`RESTING` values at most in its rows (n, W)."""
+    return np.array([len(np.unique(column)) <= RESTING for column in wheel_rpm.T], dtype=bool)
+
+
+def rest_of(wheel_rpm: Array) -> Array:
+    """Variance (W,) in (rad/s)² that rounding brings to the rate of a wheel at rest (n, W) in rpm.
+
+    What such a wheel is off by stays while its printed value stays, and second differences do not
+    see it: a twelfth of a step's square counts for as many rows as a value is shown in a row, in
+    the mean. A wheel that shows one value alone is off by a constant, which costs nothing.
+    """
+    result = np.zeros(wheel_rpm.shape[1])
+    for w in np.flatnonzero(is_resting(wheel_rpm)).tolist():
+        values = np.unique(wheel_rpm[:, w])
+        if len(values) > 1:
+            shown = len(wheel_rpm) / (1 + np.count_nonzero(np.diff(wheel_rpm[:, w])))
+            step = RAD_S_PER_RPM * float(np.diff(values).min())
+            result[w] = shown * step**2 / 12.0
+    return result
 
 
 def _around(values: Array) -> Array:

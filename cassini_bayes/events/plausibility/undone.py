@@ -15,6 +15,7 @@ from cassini_bayes.events.plausibility.momentum import (
     Nominal,
     exchanged,
     exchanges_of,
+    is_resting,
     largest_jumps,
 )
 from cassini_bayes.events.plausibility.rows import Rows
@@ -30,7 +31,6 @@ WHEEL_UNITS: Final = {
 }
 LEAST_FACTOR_STEP: Final = 0.15
 """A free factor closer to 1 is a departure, no mistake: three widths of `wheel_inertia`'s prior."""
-RESTING: Final = 3  # printed values of a wheel at rest: one, its neighbours, and no motion
 LEAST_FACTOR: Final = 1e-3
 """Of a wheel: with less the column says nothing."""
 
@@ -68,9 +68,10 @@ def of_wheels(
     """Orders, signs and units of wheels; a factor, a constant error or a jump of each.
 
     ``nothing`` corrects nothing; a wheel jumps where it jumps most in ``rows``. One that rests, and
-    shows :data:`RESTING` values at most, has no factor: what changes is its rounding.
+    shows few values (:func:`.momentum.is_resting`), has no factor: what changes is its rounding.
     """
     count, jumps_s = len(wheels), rows.time_s[largest_jumps(rows.wheel_rpm)]
+    rests = is_resting(rows.wheel_rpm)
     columns = [f"{name}_rpm" for name in nominal.wheel_names]
     every = ", ".join(columns)
     fix = f"correct which columns are {every}, or wheels in event.toml"
@@ -90,7 +91,7 @@ def of_wheels(
         yield Undone("wheel-unit", what, fix, replace(nothing, wheel=factor * np.eye(count)))
     for w, (number, column) in enumerate(zip(wheels, columns, strict=True)):
         rate = f"a rate of wheel {number}"
-        if len(np.unique(rows.wheel_rpm[:, w])) > RESTING:
+        if not rests[w]:
             scaled = replace(nothing, wheel_factor=(w,))
             what = f"{rate} that has to be multiplied by {{factor:.4g}}"
             fix = f"check the unit and scale of {column}"
