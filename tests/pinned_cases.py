@@ -234,7 +234,7 @@ def made_up() -> Subject:
 
 # A diagnosis of telemetry, and one of totals rows.
 
-LINE: Final = Oscillation(frequency_hz=0.05, damping=0.003, axis=1, span_s=400.0)
+LINE: Final = Oscillation(frequency_hz=0.05, damping=0.003, direction=(0.0, 1.0, 0.0), span_s=400.0)
 TELEMETRY_CAUSES: Final = (
     "thruster_leak:z3",
     "tail_off",

@@ -1,11 +1,12 @@
 """A boom or propellant that moves against the body: an oscillation in the rates.
 
-An appendage of moment of inertia φ J about a body axis moves at a rate ω + q; its momentum φ J q is
-what the balance lacks, q a free oscillation and an answer D to the body's own motion
-(:mod:`cassini_bayes.effects.appendage`), which firings and wheels drive:
+An appendage of moment of inertia φ J about a direction of the body moves at a rate ω + q; its
+momentum φ J q is what the balance lacks, q a free oscillation and an answer D to the body's own
+motion (:mod:`cassini_bayes.effects.appendage`), which firings and wheels drive:
 J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do. The free oscillation
-is taken to start alike in every event, t from its first row. Frequency, damping and axis are those
-of most evidence in what a model leaves; the fit has departures from them in first order.
+is taken to start alike in every event, t from its first row. Frequency, damping and
+direction are those of most evidence in what a model leaves (:mod:`.line_directions`); the fit has
+departures of the first two in first order.
 
 Noise of measured rates would drive D as well: errors in variables, by which a share φ of 0.004
 comes out as 0.001 where rates have 2e-5 rad/s (docs/topics/criticism.md §2). So D is of the rates
@@ -39,10 +40,18 @@ from cassini_bayes.effects.appendage import (
 from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import FiredIntervals
+from cassini_bayes.effects.line_directions import (
+    ALONG_AXES,
+    BODY_AXES,
+    COLUMNS,
+    AllDirections,
+    OfDirections,
+)
 from cassini_bayes.effects.line_shapes import (
     DAMPED,
     NONE,
     Dampings,
+    Direction,
     Line,
     Posterior,
     Shapes,
@@ -95,7 +104,7 @@ class BalancedRates:
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A damped oscillation about a body axis (0, 1, 2): frequency and damping of it clamped.
+    """A damped oscillation about a unit vector in body axes, its frequency and damping clamped.
 
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
     1/(ΩT) of the damping. ``step_s`` lies between the rates that show how the body moves.
@@ -106,7 +115,7 @@ class Oscillation:
 
     frequency_hz: float
     damping: float
-    axis: int
+    direction: Direction
     log_looks: float = 0.0
     log_gain: float = 0.0
     span_s: float = 3_600.0
@@ -130,7 +139,7 @@ class Oscillation:
         def series(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             line = self.frequency_hz + by_line * unit_hz, self.damping + by_damping * unit_damping
             motion_of = oscillation_series(context.time_s, motion, *line)[place]
-            return np.asarray(motion_of if place < len(SERIES) - 1 else motion_of[:, self.axis])
+            return np.asarray(motion_of if place < len(SERIES) - 1 else motion_of @ self.direction)
 
         def slope(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             ahead = series(place, by_line, by_damping, context)
@@ -161,10 +170,9 @@ def _line(setting: Setting) -> Oscillation:
 
 
 def change(physics: Physics, _: Parameters, values: Values, setting: Setting) -> Physics:
-    """What the balance lacks about the line's axis, its frequency and damping moved."""
-    axis = _line(setting).axis
-    unit = np.eye(3)[axis]
-    moment = physics.inertia_kg_m2[..., axis, axis]
+    """What the balance lacks about the line's direction, its frequency and damping moved."""
+    unit = np.array(_line(setting).direction)
+    moment = unit @ physics.inertia_kg_m2 @ unit
     weights = values["cosine_rad_s"], values["sine_rad_s"], -values["inertia_fraction"]
     columns = {}
     for name, weight in zip(SERIES, weights, strict=True):
@@ -250,11 +258,12 @@ def left_open(
     samples = rows.samples
     step = float(np.median(np.diff(samples.time_s[np.isfinite(samples.rate_rad_s).all(1)])))
     inertia = np.broadcast_to(rows.physics.inertia_kg_m2, (1, 3, 3))[0]
-    turned = np.linalg.solve(inertia, fired.momentum_n_m_s.T)[line.axis]
+    unit = np.array(line.direction)
+    turned = unit @ np.linalg.solve(inertia, fired.momentum_n_m_s.T)
     shape = line.frequency_hz, line.damping
     answers, variance = driven_answers(fired, rows.time_s, turned, shape, step)
-    moment = float(values["inertia_fraction"][0]) * inertia[line.axis, line.axis]
-    return moment * answers[:, None] * np.eye(3)[line.axis][:, None], variance
+    moment = float(values["inertia_fraction"][0]) * float(unit @ inertia @ unit)
+    return moment * answers[:, None] * unit[:, None], variance
 
 
 def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillation | None:
@@ -306,8 +315,9 @@ def find_oscillation(
     """The oscillation of most evidence; None where the events are too short for any.
 
     All frequencies a line's width apart are tried with two dampings and with what the fit takes
-    away left in the columns; the best of them and their neighbours with that taken off; the best of
-    these with all dampings; the best of all goes on to the maximum.
+    away left in the columns; the best of them and their neighbours with that taken off, about all
+    directions; the best of these with all dampings; the best of all, about its direction, goes on
+    to the maximum.
 
     Parameters
     ----------
@@ -326,85 +336,121 @@ def find_oscillation(
         return None
     size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
     looks = [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
-    peaks = _peaks(np.maximum.reduce([look.log_evidence for look in looks]))
+    peaks = _peaks(np.maximum.reduce([_about_any_direction(look) for look in looks]))
     factor = cho_factor(linear.gram())
-    views = [_views(rows, linear, axis) for axis in range(3)]
+    views = cache(partial(_views, rows, linear))
 
-    @cache  # the finer look, that at all dampings and the sizes share lines
-    def posterior_of(line: Line) -> Posterior:
-        gram, projection = _fine(rows, motions, views[line[2]], factor, line)
-        return posterior(gram, projection, size[line[2]])
+    @cache
+    def of_directions(frequency_hz: float, damping: float) -> OfDirections:
+        views_of = [views(axis) for axis in BODY_AXES]
+        along = _along_all_axes(rows, motions, views_of, factor, (frequency_hz, damping))
+        return OfDirections(AllDirections(*along, inertia_kg_m2, scales))
 
-    def score(line: Line) -> float:
-        return float(posterior_of(line).log_evidence)
+    def score(line: tuple[float, float]) -> float:
+        return of_directions(*line).rough_evidence
 
-    finer = {
-        line: posterior_of(line)
-        for f, axis in peaks
+    finer = [
+        (float(frequencies[f] + s / span), damping)
+        for f in peaks
         for damping in COARSE_DAMPINGS
-        for line in ((float(frequencies[f] + s / span), damping, axis) for s in FINER)
-    }
+        for s in FINER
+    ]
     ranked = sorted(finer, key=score)[::-1]
-    best = list(dict.fromkeys((frequency, axis) for frequency, _, axis in ranked))[:PEAKS]
-    fits = [(frequency, damping, axis) for frequency, axis in best for damping in DAMPINGS]
-    frequency, damping, axis = max(fits, key=score)
+    best = list(dict.fromkeys(frequency for frequency, _ in ranked))[:PEAKS]
+    fits = [(frequency, damping) for frequency in best for damping in DAMPINGS]
+    frequency, damping = max(fits, key=score)
+    direction = of_directions(frequency, damping).best
+
+    @cache  # the last digits and the sizes share lines
+    def posterior_of(line: Line) -> Posterior:
+        gram, projection = _fine(rows, motions, views(line[2]), factor, line)
+        moment = float(np.square(line[2]) @ inertia_kg_m2)
+        return posterior(gram, projection, moment * units)
 
     def loss(x: Array) -> float:
-        return -score((frequency + float(x[0]) / span, float(x[1]) ** 2, axis))
+        line = frequency + float(x[0]) / span, float(x[1]) ** 2, direction
+        return -float(posterior_of(line).log_evidence)
 
+    units = np.array([*scales[:1], *scales])
     root = float(np.sqrt(damping))
     corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
     options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
     bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
     result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
-    log_looks = float(np.log(3 * len(frequencies) * len(DAMPINGS)))
     frequency += float(result.x[0]) / span
-    step = float(np.median([motion.step_s for motion in motions]))
     damping = float(result.x[1] ** 2)
-    units = np.array([*scales[:1], *scales])
-    found = (frequency, damping, axis)
-    of_found = shapes_over_dampings(posterior_of, found, span, units)
-    others = _other_lines(found, span, finer, (frequencies, looks, peaks), units)
+    of_best = of_directions(frequency, damping)
+    found = (frequency, damping, of_best.best)
+    gain = float(posterior_of(found).log_evidence)
+    # of all directions one is taken, of all lines one: what others have of the evidence is a cost
+    of_direction = gain - of_best.log_evidence
+    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + of_direction
+    step = float(np.median([motion.step_s for motion in motions]))
+    of_found = shapes_over_dampings(posterior_of, found, span, units).less(of_direction)
+    near = {line: of_directions(*line).about_axes_posterior for line in finer}
+    others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
-    gain = -float(result.fun)
     return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
+
+
+def _about_any_direction(look: Posterior) -> Array:
+    """Log evidence (f,) about the best direction, roughly, by that (f, 3) about every axis.
+
+    Whitened amplitudes along the axes, (3, 2) cosines and sines, gain half the square of their
+    largest singular value where the line is oblique.
+    """
+    free = look.covariance[..., :2, :2]
+    factor = np.linalg.cholesky(free)
+    whitened = np.linalg.solve(factor, look.mean[..., :2, None])[..., 0]  # (f, 3, 2)
+    largest = np.linalg.eigvalsh(np.swapaxes(whitened, 1, 2) @ whitened)[:, -1]
+    own = 0.5 * np.linalg.slogdet(free)[1]
+    oblique = 0.5 * largest + own.min(axis=1)
+    return np.asarray(np.maximum(look.log_evidence.max(axis=1), oblique))
 
 
 def _other_lines(
     found: Line,
     span_s: float,
-    finer: Mapping[Line, Posterior],
-    coarse: tuple[Array, Sequence[Posterior], Sequence[tuple[int, int]]],
+    finer: Mapping[tuple[float, float], Posterior],
+    coarse: tuple[Array, Sequence[Posterior], Sequence[int]],
     scales: Array,
 ) -> list[Shapes]:
     """All lines of the search but the one found: those about the peaks, and the rest.
 
-    ``span_s`` is that of the longest event, ``coarse`` the first look: frequencies (f,), the
+    ``span_s`` is that of the longest event, ``finer`` has the posteriors (3,) about body axes of
+    frequencies and dampings about the peaks, ``coarse`` the first look: frequencies (f,), the
     posterior (f, 3) at every damping, and the places of its peaks. Beside a peak and within two
-    widths of the line found is no other line.
+    widths of the line found is no other line. Oblique lines are taken to have as much of the
+    evidence as those about body axes.
     """
     frequencies, looks, peaks = coarse
     spacing = 1.0 / span_s
     width = 2.0 * float(np.hypot(spacing, found[1] * found[0]))
-    own = np.abs(frequencies - found[0]) < width
+    share = np.log(ALONG_AXES / (0.5 * len(BODY_AXES)))
+    # about another axis a line of the same frequency is another one, but that of an oblique one
+    is_own = np.array([axis == found[2] or found[2] not in BODY_AXES for axis in BODY_AXES])
     is_rest = np.ones((len(frequencies), 3), dtype=bool)
-    is_rest[own, found[2]] = False
-    for f, axis in peaks:
-        is_rest[max(f - 1, 0) : f + 2, axis] = False
+    is_rest[np.ix_(np.abs(frequencies - found[0]) < width, is_own)] = False
+    for f in peaks:
+        is_rest[max(f - 1, 0) : f + 2] = False
     at = np.broadcast_to(frequencies[:, None], is_rest.shape)[is_rest]
     shapes = []
     for damping, look in zip(COARSE_DAMPINGS, looks, strict=True):
         rest = Posterior(*(values[is_rest] for values in look))
         of_all = Dampings(damping, *DAMPED) if damping > 0.0 else NONE
-        shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales))
-        near = {
-            line: own
+        shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales).less(-share))
+        near = [
+            (line[0], Posterior(*(values[axis] for values in own)))
             for line, own in finer.items()
-            if line[1] == damping and (line[2] != found[2] or abs(line[0] - found[0]) > width)
-        }
+            if line[1] == damping
+            for axis in range(len(BODY_AXES))
+            if not is_own[axis] or abs(line[0] - found[0]) > width
+        ]
         if near:
-            cells = np.array([frequency for frequency, *_ in near]), of_all, FINER_STEP * spacing
-            shapes.append(shapes_of_cells(Posterior.stacked(near.values()), *cells, scales))
+            at_peaks = np.array([frequency for frequency, _ in near])
+            cells = at_peaks, of_all, FINER_STEP * spacing
+            stacked = Posterior.stacked(own for _, own in near)
+            shapes.append(shapes_of_cells(stacked, *cells, scales).less(-share))
     return shapes
 
 
@@ -440,69 +486,123 @@ def _coarse(
     return posterior(gram, projection, size)
 
 
-def _peaks(scores: Array) -> list[tuple[int, int]]:
-    """Places (frequency, axis) of the highest scores, no two of them neighbours."""
-    peaks: list[tuple[int, int]] = []
-    for flat in np.argsort(-scores, axis=None):
-        f, axis = (int(i) for i in np.unravel_index(int(flat), scores.shape))
-        if all(axis != a or abs(f - g) > 1 for g, a in peaks):
-            peaks.append((f, axis))
+def _peaks(scores: Array) -> list[int]:
+    """Places of the highest scores (f,), no two of them neighbours."""
+    peaks: list[int] = []
+    for f in np.argsort(-scores).tolist():
+        if all(abs(f - g) > 1 for g in peaks):
+            peaks.append(f)
         if len(peaks) == PEAKS:
             break
     return peaks
 
 
 class _View(NamedTuple):
-    """What one event's rows show about an axis: whitened momentum along it is weighed with these.
+    """What one event's rows show along a direction: whitened momentum is weighed with these.
 
-    ``length`` is the square of a whitened unit, ``white`` (n,) and ``columns`` (n, k) innovations
-    and those of the linear model's columns that the event has along it, at ``places`` (k,).
+    ``unit`` (3,) is a whitened unit, ``white`` (n,) and ``columns`` (n, k) innovations and those of
+    the linear model's columns that the event has along it, at ``places`` (k,). Of turns all are
+    along the modes of their pieces, where ``weights`` (n,) make noise white.
     """
 
-    length: float
+    unit: Array
     white: Array
     columns: Array
     places: Places
+    weights: Array | None
+
+    def of(self, series: Array) -> Array:
+        """Series (n, c) as they are seen along the direction."""
+        return series if self.weights is None else self.weights[:, None] * series
 
 
-def _views(rows: Sequence[EventRows], linear: Linear, axis: int) -> list[_View]:
-    """Every event's view of an axis."""
+def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[list[_View]]:
+    """Every event's views of a direction: one, of turns one along each axis that it has part in."""
     views = []
     for event, part in zip(rows, linear.columns.parts, strict=True):
-        direction = np.linalg.inv(event.noise_factor)[:, axis]
+        to_white = np.linalg.inv(event.noise_factor)
         columns = part.values.reshape(len(event.white), 3, -1)
-        along = np.tensordot(columns, direction, (1, 0))
-        length = float(direction @ direction)
-        views.append(_View(length, event.white @ direction, along, part.places))
+        if event.turns is None:
+            unit = to_white @ direction
+            along = np.tensordot(columns, unit, (1, 0))
+            views.append([_View(unit, event.white @ unit, along, part.places, None)])
+            continue
+        own = []
+        for axis in np.flatnonzero(direction).tolist():
+            part_of: Array = np.asarray(direction[axis] * to_white[:, axis])
+            along = np.tensordot(columns, part_of, (1, 0))
+            seen = event.turns.in_modes(np.column_stack([event.white @ part_of, along]))
+            weights = event.turns.weights(axis)
+            own.append(_View(part_of, seen[:, 0], seen[:, 1:], part.places, weights))
+        views.append(own)
     return views
 
 
 def _fine(
     rows: Sequence[EventRows],
     motions: Sequence[KnownMotion],
-    views: Sequence[_View],
+    views: Sequence[Sequence[_View]],
     factor: tuple[Array, bool],
     line: Line,
 ) -> tuple[Array, Array]:
     """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
 
-    ``line`` is its frequency (Hz), damping and axis, ``views`` those of that axis, ``factor`` that
-    of the linear model's Gram.
+    ``line`` is its frequency (Hz), damping and direction, ``views`` those of that direction,
+    ``factor`` that of the linear model's Gram.
     """
-    frequency_hz, damping, axis = line
+    *shape, direction = line
     gram, projection = np.zeros((3, 3)), np.zeros(3)
     across = np.zeros((len(factor[0]), 3))
-    for event, motion, view in zip(rows, motions, views, strict=True):
-        cosine, sine, driven = oscillation_series(event.time_s, motion, frequency_hz, damping)
-        series = np.stack([cosine, sine, -driven[:, axis]], axis=1)
-        if event.turns is not None:
-            seen = _over_trapezoids(frequency_hz, motion.step_s)
-            series = seen * event.turns.pieces.integrated(series)
-            series = event.turns.whitened(series, axis)
-        gram += view.length * series.T @ series
-        projection += view.white @ series
-        across[view.places] += view.columns.T @ series
+    for event, motion, own in zip(rows, motions, views, strict=True):
+        cosine, sine, driven = oscillation_series(event.time_s, motion, *shape)
+        series = np.stack([cosine, sine, -driven @ direction], axis=1)
+        shown = _shown(event, motion, series, shape[0])
+        for view in own:
+            seen = view.of(shown)
+            gram += float(view.unit @ view.unit) * seen.T @ seen
+            projection += view.white @ seen
+            across[view.places] += view.columns.T @ seen
     return gram - across.T @ cho_solve(factor, across), projection
+
+
+def _along_all_axes(
+    rows: Sequence[EventRows],
+    motions: Sequence[KnownMotion],
+    views: Sequence[Sequence[Sequence[_View]]],
+    factor: tuple[Array, bool],
+    shape: tuple[float, float],
+) -> tuple[Array, Array]:
+    """Gram (15, 15) and Aᵀy (15,) of a line's five columns along every axis, as :func:`_fine`.
+
+    ``views`` are those of X, Y and Z.
+    """
+    gram, projection = np.zeros((3, COLUMNS, 3, COLUMNS)), np.zeros((3, COLUMNS))
+    across = np.zeros((len(factor[0]), 3, COLUMNS))
+    for event, motion, *own in zip(rows, motions, *views, strict=True):
+        series = np.column_stack(oscillation_series(event.time_s, motion, *shape))
+        shown = _shown(event, motion, series, shape[0])
+        along = [view for (view,) in own]
+        seen = [view.of(shown) for view in along]
+        same = shown.T @ shown if event.turns is None else None
+        for a in range(3):
+            projection[a] += along[a].white @ seen[a]
+            across[along[a].places, a] += along[a].columns.T @ seen[a]
+            for b in range(3):
+                if same is not None:
+                    gram[a, :, b] += float(along[a].unit @ along[b].unit) * same
+                elif a == b:  # noise of turns about one axis is not that about another
+                    gram[a, :, a] += float(along[a].unit @ along[a].unit) * seen[a].T @ seen[a]
+    flat = across.reshape(len(across), -1)
+    whole = gram.reshape(flat.shape[1], -1) - flat.T @ cho_solve(factor, flat)
+    return whole, projection.ravel()
+
+
+def _shown(event: EventRows, motion: KnownMotion, series: Array, frequency_hz: float) -> Array:
+    """Series (n, c) as an event shows them: of turns integrated, along the modes of pieces."""
+    if event.turns is None:
+        return series
+    seen = _over_trapezoids(frequency_hz, motion.step_s)
+    return event.turns.in_modes(seen * event.turns.pieces.integrated(series))
 
 
 KIND: Final = Kind(

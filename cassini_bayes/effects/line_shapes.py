@@ -14,7 +14,7 @@ probability by Z, the prior of their damping, and the frequencies that they stan
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,8 +22,10 @@ from scipy.special import log_ndtr, ndtr, ndtri, softmax
 
 from cassini_bayes.computing.arrays import Array
 
-Line = tuple[float, float, int]
-"""Frequency (Hz), damping, and axis."""
+Direction = tuple[float, float, float]
+"""Unit vector in body axes."""
+Line = tuple[float, float, Direction]
+"""Frequency (Hz), damping, and what it swings about."""
 NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
 NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
 """Dampings that sizes are averaged over, and those about the best; frequencies about theirs."""
@@ -69,6 +71,10 @@ class Shapes:
     frequency_sd_hz: Array
     mean: Array
     covariance: Array
+
+    def less(self, nats: float) -> Shapes:
+        """All lines so much less probable."""
+        return replace(self, log_weight=self.log_weight - nats)
 
     @staticmethod
     def joined(parts: Sequence[Shapes]) -> Shapes:
@@ -142,14 +148,14 @@ def shapes_over_dampings(
     """
 
     def peak(middle: float, step: float, damping: float) -> tuple[float, float]:
-        shifted = ((middle + s, damping, axis) for s in (-step, 0.0, step))
+        shifted = ((middle + s, damping, direction) for s in (-step, 0.0, step))
         shift, sd = _peak([float(posterior_of(other).log_evidence) for other in shifted], step)
         return middle + shift, sd
 
-    frequency_hz, found, axis = line
+    frequency_hz, found, direction = line
     step = SPAN_STEP / (2.0 * np.pi * frequency_hz * span_s)
     middle = max(found, step)
-    beside = ((frequency_hz, middle + d, axis) for d in (-step, 0.0, step))
+    beside = ((frequency_hz, middle + d, direction) for d in (-step, 0.0, step))
     _, sd = _peak([float(posterior_of(other).log_evidence) for other in beside], step)
     near = found + sd * np.array(NEAR_BEST)
     near = near[(near > DAMPED[0]) & (near < DAMPED[1])]
@@ -157,7 +163,7 @@ def shapes_over_dampings(
     for damping in _cells(np.unique(np.concatenate([NODES, near]))):
         step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping.one * frequency_hz))
         best, sd = peak(frequency_hz, step, damping.one)
-        evidence = float(posterior_of((best, damping.one, axis)).log_evidence)
+        evidence = float(posterior_of((best, damping.one, direction)).log_evidence)
         cells.append((evidence + damping.log_prior + np.log(sd), damping, best, sd))
     most = max(weight for weight, *_ in cells)
     shapes = []
@@ -166,7 +172,7 @@ def shapes_over_dampings(
             continue
         best, sd = peak(best, sd, damping.one)  # a wide parabola leans where a line is strong
         frequencies = best + sd * np.array(NEAR_BEST)
-        each = (posterior_of((float(f), damping.one, axis)) for f in frequencies)
+        each = (posterior_of((float(f), damping.one, direction)) for f in frequencies)
         shapes.append(shapes_of_cells(Posterior.stacked(each), frequencies, damping, sd, scales))
     return Shapes.joined(shapes)
 

@@ -63,7 +63,7 @@ def test_a_line_that_attitudes_alone_show_is_found() -> None:
     line = search(left, priors)
     assert line is not None
     assert line.log_gain > line.log_looks + 10.0
-    assert line.axis == 1
+    assert line.direction == (0.0, 1.0, 0.0)
     assert line.frequency_hz == pytest.approx(LINE["frequency_hz"], abs=0.5 / line.span_s)
     motions = [known_motion(s.time_s, s.rate_rad_s) for s in left.samples]
     inertia = np.array([left.parameters[f"inertia_{axis}{axis}_kg_m2"] for axis in "xyz"])

@@ -17,9 +17,11 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.sizes import summarised
+from cassini_bayes.effects import line_directions
 from cassini_bayes.effects.appendage import known_motion, oscillation_series, products_of_turns
 from cassini_bayes.effects.effect import Remainder, Setting
 from cassini_bayes.effects.flexible_mode import Oscillation, drawn, find_oscillation, search
+from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.effects.line_shapes import DAMPED, UNDAMPED
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
@@ -152,10 +154,40 @@ def test_a_line_is_found_with_axis_and_frequency(hertz: float, seconds: int) -> 
     left[:, 1] += 8.0 * NOISE[1, 1] * np.sqrt(2 / seconds) * np.cos(2 * np.pi * hertz * time_s + 1)
     found = found_in(shown, left, time_s)
     assert found is not None
-    assert found.axis == 1
+    assert found.direction == (0.0, 1.0, 0.0)
     assert found.frequency_hz == pytest.approx(hertz, abs=1.0 / seconds)
-    looks = 3 * (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # axes, lines, dampings
-    assert found.log_looks == pytest.approx(np.log(looks), abs=1e-2)
+    looks = (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # lines, dampings
+    # a body axis is one of three, or of six where no oblique direction has any of the evidence
+    assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * looks) + 0.1
+
+
+OBLIQUE = np.array([0.31, -0.82, 0.49]) / np.linalg.norm([0.31, -0.82, 0.49])
+
+
+def swing(direction: Array, sigmas: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Rates and innovations of a free swing of 0.059 Hz about a direction, of so many σ."""
+    shown, left = white(rng)
+    wave = np.cos(2.0 * np.pi * 0.059 * TIME + 1.0)
+    one = np.linalg.norm(np.outer(wave, direction) @ np.linalg.inv(NOISE).T)
+    return shown, left + sigmas / one * np.outer(wave, direction)
+
+
+def test_an_oblique_line_is_found_with_its_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line of 9 σ, 2.1, 5.6 and 6.7 of them along X, Y and Z: 40 nats, and its direction.
+
+    A direction is known to 1/9 rad across where all axes are as noisy. Control: about body axes
+    alone the line is worth less, by more than what directions cost.
+    """
+    rates, left = swing(OBLIQUE, 9.0, np.random.default_rng(5))
+    found = found_in(rates, left)
+    assert found is not None
+    assert found.frequency_hz == pytest.approx(0.059, abs=1.0 / TIME[-1])
+    assert abs(np.dot(found.direction, OBLIQUE)) > np.cos(3.5 / 9.0)
+    monkeypatch.setattr(line_directions, "ALONG_AXES", 1.0 - 1e-12)
+    about_axis = found_in(rates, left)
+    assert about_axis is not None
+    assert about_axis.direction in BODY_AXES
+    assert found.log_gain - found.log_looks > about_axis.log_gain - about_axis.log_looks + 10.0
 
 
 def test_an_appendage_that_only_the_body_drives_is_found() -> None:
@@ -169,7 +201,10 @@ def test_an_appendage_that_only_the_body_drives_is_found() -> None:
     left[:, 0] -= 0.006 * INERTIA[0] * ring[:, 0]
     found = found_in(shown + noise, left)
     assert found is not None
-    assert (found.axis, found.frequency_hz) == (0, pytest.approx(0.04, abs=1.0 / TIME[-1]))
+    assert (found.direction, found.frequency_hz) == (
+        (1.0, 0.0, 0.0),
+        pytest.approx(0.04, abs=1.0 / TIME[-1]),
+    )
 
 
 def remainder_with(share: float, line: tuple[float, float], rng: np.random.Generator) -> Remainder:
@@ -251,7 +286,7 @@ def test_a_swing_is_integrated_as_it_swings(hertz: float) -> None:
     time_s = np.arange(0.0, 400.0, 4.0)
     none = np.zeros((len(time_s), 0))
     samples = Samples(time_s, np.zeros((len(time_s), 4)), np.zeros((len(time_s), 3)), *[none] * 3)
-    cosine = Oscillation(hertz, 0.0, 0).columns(samples)[0]
+    cosine = Oscillation(hertz, 0.0, (1.0, 0.0, 0.0)).columns(samples)[0]
     omega = 2.0 * np.pi * hertz
     pieces = Pieces(time_s, np.array([0, 40, 100]))
     by_rows = pieces.integrated(np.cos(omega * time_s)[:, None])[:, 0]

@@ -34,6 +34,7 @@ from cassini_bayes.balance.statistics.columns import (
 )
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.cached import cached_property
 
 LONGEST_S: Final = 32.0  # of a piece: by then attitudes tell its rate to 4e-7 rad/s
 LEAST_PIECE: Final = 2  # rows: one contrast, the mean rate
@@ -159,11 +160,33 @@ class WhiteTurns:
             modes[piece, :count, : count - 1] = own
         return WhiteTurns(pieces, of_row, modes, summed, slope, ratio_per_s2)
 
+    @cached_property
+    def _are_modes(self) -> Flags:
+        """Which places (p, M) are modes of a piece: one fewer than it has rows."""
+        counts = np.diff(self.pieces.ends)
+        most = self.of_row.shape[1]
+        return np.asarray(np.arange(most) < np.where(counts < LEAST_PIECE, 0, counts - 1)[:, None])
+
+    def in_modes(self, values: Array) -> Array:
+        """Integrals (n, c), centred over pieces, along the modes of these, (m, c).
+
+        Inner products are those of the integrals.
+        """
+        padded = np.concatenate([values, np.zeros((1, values.shape[1]))])[self.of_row]
+        return np.asarray((np.swapaxes(self.modes, 1, 2) @ padded)[self._are_modes])
+
+    def weights(self, axis: int) -> Array:
+        """What integrals along modes are multiplied by, (m,), so that an axis's noise is white.
+
+        Axes are whitened ones.
+        """
+        summed = self.ratio_per_s2[axis] * self.summed_s2[self._are_modes]
+        return np.asarray(1.0 / np.sqrt(1.0 + summed))
+
     def whitened(self, values: Array, axis: int) -> Array:
         """Integrals (n, c), centred over pieces, with the noise of a whitened axis made white."""
-        padded = np.concatenate([values, np.zeros((1, values.shape[1]))])[self.of_row]
-        along = np.swapaxes(self.modes, 1, 2) @ padded
-        along /= np.sqrt(1.0 + self.ratio_per_s2[axis] * self.summed_s2)[:, :, None]
+        along = np.zeros((*self.of_row.shape, values.shape[1]))
+        along[self._are_modes] = self.weights(axis)[:, None] * self.in_modes(values)
         result = np.zeros((len(values) + 1, values.shape[1]))
         result[self.of_row] = self.modes @ along
         return result[:-1]

@@ -20,6 +20,7 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothe
 from cassini_bayes.diagnosis.modes import Mode, highest_mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.flexible_mode import FASTEST, BalancedRates, Oscillation
+from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene
@@ -314,7 +315,9 @@ def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[s
     """
     clamped = float(np.sqrt(1.0 - values["inertia_fraction"]))
     line = Oscillation(
-        values["frequency_hz"] * clamped, values["damping"] * clamped, int(values["axis"])
+        values["frequency_hz"] * clamped,
+        values["damping"] * clamped,
+        BODY_AXES[int(values["axis"])],
     )
     result = {
         "cosine_rad_s": -values["amplitude_rad_s"],
