@@ -17,7 +17,7 @@ the free spacecraft, and is 1 − φ times too small.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from hashlib import sha256
@@ -361,24 +361,17 @@ def find_oscillation(
     frequency, damping = max(fits, key=score)
     direction = of_directions(frequency, damping).best
 
+    units = np.array([*scales[:1], *scales])
+
     @cache  # the last digits and the sizes share lines
     def posterior_of(line: Line) -> Posterior:
         gram, projection = _fine(rows, motions, views(line[2]), factor, line)
         moment = float(np.square(line[2]) @ inertia_kg_m2)
         return posterior(gram, projection, moment * units)
 
-    def loss(x: Array) -> float:
-        line = frequency + float(x[0]) / span, float(x[1]) ** 2, direction
-        return -float(posterior_of(line).log_evidence)
-
-    units = np.array([*scales[:1], *scales])
-    root = float(np.sqrt(damping))
-    corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
-    options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
-    bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
-    result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
-    frequency += float(result.x[0]) / span
-    damping = float(result.x[1] ** 2)
+    frequency, damping = _at_maximum(
+        lambda f, d: float(posterior_of((f, d, direction)).log_evidence), frequency, damping, span
+    )
     of_best = of_directions(frequency, damping)
     found = (frequency, damping, of_best.best)
     gain = float(posterior_of(found).log_evidence)
@@ -391,6 +384,22 @@ def find_oscillation(
     others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
     return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
+
+
+def _at_maximum(
+    evidence: Callable[[float, float], float], frequency_hz: float, damping: float, span_s: float
+) -> tuple[float, float]:
+    """Frequency and damping of most evidence from some near it, to the last digits."""
+
+    def loss(x: Array) -> float:
+        return -evidence(frequency_hz + float(x[0]) / span_s, float(x[1]) ** 2)
+
+    root = float(np.sqrt(damping))
+    corners = np.array([[0.0, root], [0.1, root], [0.0, root + 0.01]])
+    options = {"initial_simplex": corners, "maxfev": MOST_EVALUATIONS, "xatol": 1e-3, "fatol": 1e-3}
+    bounds = ((-2.0, 2.0), (0.0, LARGEST_ROOT))
+    result = minimize(loss, corners[0], method="Nelder-Mead", bounds=bounds, options=options)
+    return frequency_hz + float(result.x[0]) / span_s, float(result.x[1] ** 2)
 
 
 def _about_any_direction(look: Posterior) -> Array:
