@@ -5,7 +5,8 @@ without the effect leaves δ. With the noise of the rows whitened and X the slop
 along each parameter of the baseline times the width of its prior, σ² = δᵀ(1 + X Xᵀ)⁻¹ δ. Rate bias
 and rate scale hide in the balance (in the initial momentum, in the inertia): theirs comes from
 attitudes against rates. Between firings attitudes tell rates as well, and better: a straight line
-through them for T seconds has a slope as rates of noise σ_θ √12/T in every row would give it.
+through them for T seconds has a slope as rates of noise σ_θ √12/T in every row would give it. No
+line shows a swing: of one with angular frequency Ω attitudes tell as rates of noise Ω σ_θ would.
 Linear, and rough on purpose: it says whether a trial is a fair question, not what the answer is.
 """
 
@@ -84,12 +85,15 @@ class Seen:
         inertial[1:] -= np.cumsum(np.einsum("nji,nj->ni", middle, impulse), axis=0)
         return np.einsum("nij,nj->ni", self.to_body, inertial - inertial[0])
 
-    def noise(self, truth: Truth, channels: Channels) -> Array:
-        """Covariance of a row of the balance, (3, 3): that of rates, wheels and attitudes."""
+    def noise(self, truth: Truth, channels: Channels, swing_hz: float = 0.0) -> Array:
+        """Covariance of a row of the balance, (3, 3): that of rates, wheels and attitudes.
+
+        ``swing_hz``: of what is hidden, where it swings.
+        """
         body = truth.body(self.flight.event.name)
         gyro = channels.rate_noise_rad_s**2 + channels.rate_step_rad_s**2 / 12.0
-        lines = 12.0 * (channels.attitude_noise_rad / self.quiet_s) ** 2
-        rate = 1.0 / (1.0 / gyro + 1.0 / lines)
+        per_s = max(math.sqrt(12.0) / self.quiet_s, 2.0 * math.pi * swing_hz)
+        rate = 1.0 / (1.0 / gyro + 1.0 / (per_s * channels.attitude_noise_rad) ** 2)
         rpm = channels.wheel_noise_rpm**2 + channels.wheel_step_rpm**2 / 12.0
         wheel = (2.0 * np.pi / 60.0) ** 2 * rpm
         arms = body.wheel_axes * body.wheel_inertia_kg_m2
@@ -116,7 +120,10 @@ def sigma(
     if any(effect.kind in ("rate_bias", "rate_scale") for effect in effects):
         return math.sqrt(sum(_kinematic(flight, departures, channels) for flight in flights))
     seen = [Seen(flight, channels, departures) for flight in flights]
-    whiteners = [np.linalg.inv(np.linalg.cholesky(s.noise(baseline, channels))) for s in seen]
+    swings = (effect.parameters.get("frequency_hz", 0.0) for effect in effects)
+    swing_hz = max(swings, default=0.0)
+    noises = [s.noise(baseline, channels, swing_hz) for s in seen]
+    whiteners = [np.linalg.inv(np.linalg.cholesky(noise)) for noise in noises]
 
     def stacked(truth: Truth) -> Array:
         rows = [s.balance(truth) @ w.T for s, w in zip(seen, whiteners, strict=True)]
