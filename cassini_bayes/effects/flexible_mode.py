@@ -41,11 +41,11 @@ from cassini_bayes.effects.changes import AXES, with_columns
 from cassini_bayes.effects.effect import FittedRows, Kind, Remainder, Setting, Values
 from cassini_bayes.effects.firings import FiredIntervals
 from cassini_bayes.effects.line_directions import (
-    ALONG_AXES,
     BODY_AXES,
     COLUMNS,
     AllDirections,
-    OfDirections,
+    of_turning,
+    sizes_about,
 )
 from cassini_bayes.effects.line_shapes import (
     DAMPED,
@@ -334,17 +334,19 @@ def find_oscillation(
     frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
     if len(frequencies) == 0:
         return None
-    size = inertia_kg_m2[:, None] * np.array([scales[0], scales[0], scales[1]])  # (3 axes, 3)
+    units = np.array([scales[0], *scales])
+    size = sizes_about(np.array(BODY_AXES), inertia_kg_m2, units)
     looks = [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
     peaks = _peaks(np.maximum.reduce([_about_any_direction(look) for look in looks]))
     factor = cho_factor(linear.gram())
     views = cache(partial(_views, rows, linear))
 
     @cache
-    def of_directions(frequency_hz: float, damping: float) -> OfDirections:
-        views_of = [views(axis) for axis in BODY_AXES]
-        along = _along_all_axes(rows, motions, views_of, factor, (frequency_hz, damping))
-        return OfDirections(AllDirections(*along, inertia_kg_m2, scales))
+    def of_directions(frequency_hz: float, damping: float) -> AllDirections:
+        along = [views(axis) for axis in BODY_AXES]
+        shape = frequency_hz, damping
+        products = _products(rows, motions, along, factor, shape, np.eye(COLUMNS))
+        return AllDirections(*products, inertia_kg_m2, units)
 
     def score(line: tuple[float, float]) -> float:
         return of_directions(*line).rough_evidence
@@ -361,13 +363,13 @@ def find_oscillation(
     frequency, damping = max(fits, key=score)
     direction = of_directions(frequency, damping).best
 
-    units = np.array([*scales[:1], *scales])
-
     @cache  # the last digits and the sizes share lines
     def posterior_of(line: Line) -> Posterior:
-        gram, projection = _fine(rows, motions, views(line[2]), factor, line)
-        moment = float(np.square(line[2]) @ inertia_kg_m2)
-        return posterior(gram, projection, moment * units)
+        along = line[2]
+        (columns,) = of_turning(np.array([along]))
+        products = _products(rows, motions, [views(along)], factor, line[:2], columns)
+        (own,) = sizes_about(np.array([along]), inertia_kg_m2, units)
+        return posterior(*products, own)
 
     frequency, damping = _at_maximum(
         lambda f, d: float(posterior_of((f, d, direction)).log_evidence), frequency, damping, span
@@ -380,7 +382,7 @@ def find_oscillation(
     log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + of_direction
     step = float(np.median([motion.step_s for motion in motions]))
     of_found = shapes_over_dampings(posterior_of, found, span, units).less(of_direction)
-    near = {line: of_directions(*line).about_axes_posterior for line in finer}
+    near = {line: of_directions(*line).about_axes for line in finer}
     others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
     return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
@@ -435,7 +437,7 @@ def _other_lines(
     frequencies, looks, peaks = coarse
     spacing = 1.0 / span_s
     width = 2.0 * float(np.hypot(spacing, found[1] * found[0]))
-    share = np.log(ALONG_AXES / (0.5 * len(BODY_AXES)))
+    of_axis = float(np.log(len(BODY_AXES)))
     # about another axis a line of the same frequency is another one, but that of an oblique one
     is_own = np.array([axis == found[2] or found[2] not in BODY_AXES for axis in BODY_AXES])
     is_rest = np.ones((len(frequencies), 3), dtype=bool)
@@ -447,7 +449,7 @@ def _other_lines(
     for damping, look in zip(COARSE_DAMPINGS, looks, strict=True):
         rest = Posterior(*(values[is_rest] for values in look))
         of_all = Dampings(damping, *DAMPED) if damping > 0.0 else NONE
-        shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales).less(-share))
+        shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales).less(of_axis))
         near = [
             (line[0], Posterior(*(values[axis] for values in own)))
             for line, own in finer.items()
@@ -459,7 +461,7 @@ def _other_lines(
             at_peaks = np.array([frequency for frequency, _ in near])
             cells = at_peaks, of_all, FINER_STEP * spacing
             stacked = Posterior.stacked(own for _, own in near)
-            shapes.append(shapes_of_cells(stacked, *cells, scales).less(-share))
+            shapes.append(shapes_of_cells(stacked, *cells, scales).less(of_axis))
     return shapes
 
 
@@ -547,60 +549,35 @@ def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> l
     return views
 
 
-def _fine(
-    rows: Sequence[EventRows],
-    motions: Sequence[KnownMotion],
-    views: Sequence[Sequence[_View]],
-    factor: tuple[Array, bool],
-    line: Line,
-) -> tuple[Array, Array]:
-    """Gram (3, 3) and Aᵀy (3,) of one oscillation's columns, what the fit takes away taken off.
-
-    ``line`` is its frequency (Hz), damping and direction, ``views`` those of that direction,
-    ``factor`` that of the linear model's Gram.
-    """
-    *shape, direction = line
-    gram, projection = np.zeros((3, 3)), np.zeros(3)
-    across = np.zeros((len(factor[0]), 3))
-    for event, motion, own in zip(rows, motions, views, strict=True):
-        cosine, sine, driven = oscillation_series(event.time_s, motion, *shape)
-        series = np.stack([cosine, sine, -driven @ direction], axis=1)
-        shown = _shown(event, motion, series, shape[0])
-        for view in own:
-            seen = view.of(shown)
-            gram += float(view.unit @ view.unit) * seen.T @ seen
-            projection += view.white @ seen
-            across[view.places] += view.columns.T @ seen
-    return gram - across.T @ cho_solve(factor, across), projection
-
-
-def _along_all_axes(
+def _products(
     rows: Sequence[EventRows],
     motions: Sequence[KnownMotion],
     views: Sequence[Sequence[Sequence[_View]]],
     factor: tuple[Array, bool],
     shape: tuple[float, float],
+    columns: Array,
 ) -> tuple[Array, Array]:
-    """Gram (15, 15) and Aᵀy (15,) of a line's five columns along every axis, as :func:`_fine`.
+    """Gram (b c, b c) and Aᵀy (b c,) of a line along b directions, less what the fit takes away.
 
-    ``views`` are those of X, Y and Z.
+    ``views`` are those of the directions, ``factor`` that of the linear model's Gram, ``shape``
+    the line's frequency (Hz) and damping. ``columns`` (5, c) makes c of its five series.
     """
-    gram, projection = np.zeros((3, COLUMNS, 3, COLUMNS)), np.zeros((3, COLUMNS))
-    across = np.zeros((len(factor[0]), 3, COLUMNS))
+    count, width = len(views), columns.shape[1]
+    gram, projection = np.zeros((count, width, count, width)), np.zeros((count, width))
+    across = np.zeros((len(factor[0]), count, width))
     for event, motion, *own in zip(rows, motions, *views, strict=True):
         series = np.column_stack(oscillation_series(event.time_s, motion, *shape))
-        shown = _shown(event, motion, series, shape[0])
-        along = [view for (view,) in own]
-        seen = [view.of(shown) for view in along]
-        same = shown.T @ shown if event.turns is None else None
-        for a in range(3):
-            projection[a] += along[a].white @ seen[a]
-            across[along[a].places, a] += along[a].columns.T @ seen[a]
-            for b in range(3):
-                if same is not None:
-                    gram[a, :, b] += float(along[a].unit @ along[b].unit) * same
-                elif a == b:  # noise of turns about one axis is not that about another
-                    gram[a, :, a] += float(along[a].unit @ along[a].unit) * seen[a].T @ seen[a]
+        shown = _shown(event, motion, series @ columns, shape[0])
+        each = [(a, view) for a, along in enumerate(own) for view in along]
+        for a, view in each:
+            seen = view.of(shown)
+            squares = seen.T @ seen
+            projection[a] += view.white @ seen
+            across[view.places, a] += view.columns.T @ seen
+            for b, other in each:
+                # noise of turns about one axis is not that about another
+                if view.weights is None or other is view:
+                    gram[a, :, b] += float(view.unit @ other.unit) * squares
     flat = across.reshape(len(across), -1)
     whole = gram.reshape(flat.shape[1], -1) - flat.T @ cho_solve(factor, flat)
     return whole, projection.ravel()

@@ -5,7 +5,9 @@ balance lacks lies along n, and only the body's turning about n drives it. Of a 
 (cosine, sine, and the driven rate about each axis) along each axis, with Gram matrix G (15, 15) and
 Aᵀy (15,), a direction has
 
-    W(n) = [n ⊗ e₁, n ⊗ e₂, −n ⊗ (0, 0, n)],   Wᵀ G W (3, 3),   Wᵀ Aᵀy (3,),
+    W(n) = n ⊗ C(n),   Wᵀ G W (3, 3),   Wᵀ Aᵀy (3,),
+
+with C(n) (5, 3) what makes cosine, sine and the answer to the turning about n of the five columns,
 
 so that one pass over the rows shows all directions. A priori half of the appendages swing about a
 body axis, and the others about any direction of a hemisphere, whose evidence is Laplace's:
@@ -14,7 +16,8 @@ Z(n̂) 2π/√det H over its area 2π, H the curvature (2, 2) of −log Z at the
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -45,48 +48,62 @@ def hemisphere(count: int) -> Array:
 _TRIED: Final = np.concatenate([np.array(BODY_AXES), hemisphere(LOOKED_AT)])
 
 
-class AllDirections(NamedTuple):
+def of_turning(directions: Array) -> Array:
+    """C (m, 5, 3) of directions (m, 3): cosine, sine, and less the driven rate about each."""
+    columns = np.zeros((len(directions), COLUMNS, 3))
+    columns[:, 0, 0] = columns[:, 1, 1] = 1.0
+    columns[:, 2:, 2] = -directions
+    return columns
+
+
+def sizes_about(directions: Array, moments: Array, scales: Array) -> Array:
+    """Momentum (m, 3) of the priors' scales (3,) about directions (m, 3), N m s.
+
+    ``moments`` (3,) are the body's about its axes, kg m².
+    """
+    return np.asarray((np.square(directions) @ moments)[:, None] * scales)
+
+
+@dataclass(frozen=True, eq=False)
+class AllDirections:
     """What rows show of a line of one frequency and damping, along all axes.
 
     ``gram`` (15, 15) and ``projection`` (15,) are those of its five columns along X, Y and Z, what
-    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (2,) the
-    priors' of the amplitude (rad/s) and the share of the inertia.
+    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (3,) the
+    priors' of cosine and sine (rad/s) and of the share of the inertia.
     """
 
     gram: Array
     projection: Array
     moments: Array
-    scales: tuple[float, float]
+    scales: Array
 
-    def posterior(self, directions: Array) -> Posterior:
+    def posterior_about(self, directions: Array) -> Posterior:
         """Posterior of the sizes about every direction (m, 3)."""
-        weights = _weights(directions)
+        weights = directions[:, :, None, None] * of_turning(directions)[:, None]
+        weights = weights.reshape(len(directions), 3 * COLUMNS, 3)
         gram = np.swapaxes(weights, 1, 2) @ self.gram @ weights
-        return posterior(gram, self.projection @ weights, self.size(directions))
+        size = sizes_about(directions, self.moments, self.scales)
+        return posterior(gram, self.projection @ weights, size)
 
-    def size(self, directions: Array) -> Array:
-        """Momentum (m, 3) of the priors' scales about every direction, N m s."""
-        amplitude, share = self.scales
-        moments = np.square(directions) @ self.moments
-        return np.asarray(moments[:, None] * np.array([amplitude, amplitude, share]))
-
-    def log_evidence(self, directions: Array) -> Array:
+    def evidence_about(self, directions: Array) -> Array:
         """Log evidence (m,) about every direction, nats."""
-        return self.posterior(directions).log_evidence
+        return self.posterior_about(directions).log_evidence
 
+    @cached_property
+    def _tried(self) -> Posterior:
+        return self.posterior_about(_TRIED)
 
-class OfDirections:
-    """The evidence of a line over all directions, and the one it most likely swings about."""
-
-    def __init__(self, seen: AllDirections) -> None:
-        self._seen = seen
-        self._tried = seen.log_evidence(_TRIED)
-        self.about_axes_posterior = seen.posterior(_TRIED[: len(BODY_AXES)])
+    @property
+    def about_axes(self) -> Posterior:
+        """Posterior (3,) of the sizes about X, Y and Z."""
+        return Posterior(*(values[: len(BODY_AXES)] for values in self._tried))
 
     @cached_property
     def _oblique(self) -> tuple[Array, float, float]:
         """The best direction (3,), its log evidence, and that of all oblique ones."""
-        n, value = _TRIED[int(self._tried.argmax())], float(self._tried.max())
+        tried = self._tried.log_evidence
+        n, value = _TRIED[int(tried.argmax())], float(tried.max())
         curvature = np.eye(2)
         for _ in range(MOST_STEPS):
             slope, curvature, across = self._local(n)
@@ -96,7 +113,7 @@ class OfDirections:
             step *= min(1.0, LONGEST_RAD / max(length, SETTLED_RAD))
             moved = n + across @ step
             moved = moved / np.linalg.norm(moved)
-            there = float(self._seen.log_evidence(moved[None])[0])
+            there = float(self.evidence_about(moved[None])[0])
             if there <= value:
                 break
             n, value = moved, there
@@ -112,7 +129,7 @@ class OfDirections:
         h = STEP_RAD
         moves = h * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)])
         near = n + moves @ across.T
-        at = self._seen.log_evidence(near / np.linalg.norm(near, axis=1, keepdims=True))
+        at = self.evidence_about(near / np.linalg.norm(near, axis=1, keepdims=True))
         slope = np.array([at[1] - at[2], at[3] - at[4]]) / (2.0 * h)
         first, second = (at[1] + at[2] - 2.0 * at[0]) / h**2, (at[3] + at[4] - 2.0 * at[0]) / h**2
         both = (at[5] + at[6] - 2.0 * at[0]) / h**2
@@ -120,14 +137,11 @@ class OfDirections:
         return slope, -np.array([[first, mixed], [mixed, second]]), across
 
     @property
-    def about_axes(self) -> Array:
-        """Log evidence (3,) about X, Y and Z."""
-        return self._tried[: len(BODY_AXES)]
-
-    @property
     def rough_evidence(self) -> float:
         """Over all directions by those looked at, nats: good to rank lines by, and quick."""
-        oblique = np.logaddexp.reduce(self._tried[len(BODY_AXES) :]) - np.log(LOOKED_AT)
+        oblique = np.logaddexp.reduce(self._tried.log_evidence[len(BODY_AXES) :]) - np.log(
+            LOOKED_AT
+        )
         return float(np.logaddexp(self._of_axes, oblique + np.log(1.0 - ALONG_AXES)))
 
     @property
@@ -137,7 +151,8 @@ class OfDirections:
 
     @property
     def _of_axes(self) -> float:
-        return float(np.logaddexp.reduce(self.about_axes) + np.log(ALONG_AXES / len(BODY_AXES)))
+        about = np.logaddexp.reduce(self.about_axes.log_evidence)
+        return float(about + np.log(ALONG_AXES / len(BODY_AXES)))
 
     @property
     def _of_oblique(self) -> float:
@@ -147,14 +162,6 @@ class OfDirections:
     def best(self) -> Direction:
         """A body axis if those have more of the evidence, else the best oblique direction."""
         if self._of_axes > self._of_oblique:
-            return BODY_AXES[int(self.about_axes.argmax())]
+            return BODY_AXES[int(self.about_axes.log_evidence.argmax())]
         x, y, z = (float(part) for part in self._oblique[0])
         return x, y, z
-
-
-def _weights(directions: Array) -> Array:
-    """W (m, 15, 3) of directions (m, 3), columns in order of axes."""
-    weights = np.zeros((len(directions), 3, COLUMNS, 3))
-    weights[:, :, 0, 0] = weights[:, :, 1, 1] = directions
-    weights[:, :, 2:, 2] = -directions[:, :, None] * directions[:, None, :]
-    return weights.reshape(len(directions), 3 * COLUMNS, 3)

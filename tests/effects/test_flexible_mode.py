@@ -146,7 +146,9 @@ def white(rng: np.random.Generator, n: int = len(TIME)) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize(("hertz", "seconds"), [(0.059, 1_200), (0.41, 3_600)])
-def test_a_line_is_found_with_axis_and_frequency(hertz: float, seconds: int) -> None:
+def test_a_line_is_found_with_axis_and_frequency(
+    hertz: float, seconds: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A free oscillation of 8 σ about Y, at high frequencies of a long event as well."""
     rng = np.random.default_rng(2)
     time_s = np.arange(0.0, seconds)
@@ -159,6 +161,10 @@ def test_a_line_is_found_with_axis_and_frequency(hertz: float, seconds: int) -> 
     looks = (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # lines, dampings
     # a body axis is one of three, or of six where no oblique direction has any of the evidence
     assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * looks) + 0.1
+    monkeypatch.setattr(line_directions, "ALONG_AXES", 1.0 - 1e-12)
+    about_axis = found_in(shown, left, time_s)
+    assert about_axis is not None
+    assert about_axis.log_looks == pytest.approx(np.log(3.0 * looks), abs=1e-2)
 
 
 OBLIQUE = np.array([0.31, -0.82, 0.49]) / np.linalg.norm([0.31, -0.82, 0.49])
@@ -173,7 +179,7 @@ def swing(direction: Array, sigmas: float, rng: np.random.Generator) -> tuple[Ar
 
 
 def test_an_oblique_line_is_found_with_its_direction(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line of 9 σ, 2.1, 5.6 and 6.7 of them along X, Y and Z: 40 nats, and its direction.
+    """A line of 9 σ, 2.1, 5.6 and 6.7 of them along X, Y and Z, has its direction.
 
     A direction is known to 1/9 rad across where all axes are as noisy. Control: about body axes
     alone the line is worth less, by more than what directions cost.

@@ -738,10 +738,10 @@ def rest_of(wheel_rpm: Array) -> Array:
     the mean. A wheel that shows one value alone is off by a constant, which costs nothing.
     """
     result = np.zeros(wheel_rpm.shape[1])
-    for w in np.flatnonzero(is_resting(wheel_rpm)).tolist():
-        values = np.unique(wheel_rpm[:, w])
-        if len(values) > 1:
-            shown = len(wheel_rpm) / (1 + np.count_nonzero(np.diff(wheel_rpm[:, w])))
+    for w, column in enumerate(wheel_rpm.T):
+        values = np.unique(column)
+        if 1 < len(values) <= RESTING:
+            shown = len(column) / (1 + np.count_nonzero(np.diff(column)))
             step = RAD_S_PER_RPM * float(np.diff(values).min())
             result[w] = shown * step**2 / 12.0
     return result
