@@ -8,7 +8,6 @@ Aᵀy (15,), a direction has
     W(n) = n ⊗ C(n),   Wᵀ G W (3, 3),   Wᵀ Aᵀy (3,),
 
 with C(n) (5, 3) what makes cosine, sine and the answer to the turning about n of the five columns,
-
 so that one pass over the rows shows all directions. A priori half of the appendages swing about a
 body axis, and the others about any direction of a hemisphere, whose evidence is Laplace's:
 Z(n̂) 2π/√det H over its area 2π, H the curvature (2, 2) of −log Z at the best n̂.
