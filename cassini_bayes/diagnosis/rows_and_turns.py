@@ -60,22 +60,10 @@ class BesideMode:
     turned: tuple[EventRows, ...]
 
     @classmethod
-    def of(
-        cls, hypothesis: Hypothesis, z: Array, left: Remainder, walked: int | None = None
-    ) -> BesideMode:
-        """About the mode z (d,) of a hypothesis that leaves ``left``.
-
-        Coordinates from ``walked`` on, of d, are held where they are; by default none.
-        """
-        kept = len(z) if walked is None else walked
+    def of(cls, hypothesis: Hypothesis, z: Array, left: Remainder) -> BesideMode:
+        """About a point z (d,) of a hypothesis that leaves ``left``."""
         linear, turned = joined(hypothesis, z, left.linear, left.rows)
-        target = linear.about_prior_mean(z[:kept])
-        if kept < len(z):
-            free = np.r_[0:kept, len(z) : linear.columns.width]
-            linear = replace(
-                linear, columns=linear.columns.chosen(free), precision=linear.precision[free]
-            )
-        return cls(linear, target, left.rows, turned)
+        return cls(linear, linear.about_prior_mean(z), left.rows, turned)
 
     def information(self, momentum: Sequence[Array]) -> Information:
         """On further columns of momentum (n, 3, q), N m s, in the rows of every event."""

@@ -4,12 +4,14 @@ What counters leave open is noise of bands in the likelihood, a draw of its own 
 It comes from few levels and steps where rows are long without firing, so that a cause that changes
 pulses, or a torque that wanders, may win by them alone (docs/topics/telemetry-likelihood.md §11).
 In the linear model of rows and turns every rounding and every tail has a column, as it has in the
-p-value. With r what a cause leaves at its mode, d what it adds there at its size, and V of all
-nuisances, it gains
+p-value. With y what the baseline leaves at the nuisances of a cause's mode, d what the cause adds
+there at its size, and V of the baseline's nuisances, it gains
 
-    ½ (r + d)ᵀ V⁻¹ (r + d) − ½ rᵀ V⁻¹ r − ½ |z|²  =  dᵀ V⁻¹ r + ½ dᵀ V⁻¹ d − ½ |z|²
+    ½ yᵀ V⁻¹ y − ½ (y − d)ᵀ V⁻¹ (y − d) − ½ |z|²  =  dᵀ V⁻¹ y − ½ dᵀ V⁻¹ d − ½ |z|²
 
-over the baseline, z the standard values of its size. Torque noise of density a has columns for its
+over the baseline, z the standard values of its size. V is the baseline's and not the cause's: with
+a leak there, a centre of mass moves the torque of the leak, and would explain it in a baseline that
+has none. Torque noise of density a has columns for its
 cosines of two minutes and more, of variance a², and gains the log of ∫ p(a) exp Δ(a) da
 (:func:`cassini_bayes.balance.linearised.change_of_evidence`), p the prior of ``unknown``. It is
 taken beside the baseline's mode and beside that of ``unknown``, and the larger one counts: a
@@ -35,7 +37,6 @@ from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import (
     effect_momentum,
-    examined,
     innovations,
     left_by,
 )
@@ -74,12 +75,10 @@ def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
 
 def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     """Log density (nats) that a cause gains over the baseline in the linear model at its mode."""
-    hypothesis, point = cause.hypothesis, cause.mode.point
-    d = none.dimension
-    beside = BesideMode.of(hypothesis, point, left_by(cause), walked=d)
-    told = beside.information(effect_momentum(none, point[:d], [(hypothesis, point[None, d:])]))
-    gained = told.vector[0] + 0.5 * told.matrix[0, 0]
-    return float(gained - 0.5 * point[d:] @ point[d:])
+    nuisances, sizes = np.split(cause.mode.point, [none.dimension])
+    beside = BesideMode.of(none, nuisances, innovations(none, nuisances))
+    told = beside.information(effect_momentum(none, nuisances, [(cause.hypothesis, sizes[None])]))
+    return float(told.vector[0] - 0.5 * told.matrix[0, 0] - 0.5 * sizes @ sizes)
 
 
 def gain_by_wander(
@@ -142,11 +141,10 @@ def reckoned_again(
         if not acts_on_pulses(none.hypothesis, hypothesis, point):
             break
         known.add(best.name)
-        looked_at = examined(best)
         extra = len(point) - none.hypothesis.dimension
         by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
-        withheld = by_bands - gain_by_levels(none.hypothesis, looked_at)
-        changed = replace(looked_at, withheld=max(withheld, 0.0))
+        withheld = by_bands - gain_by_levels(none.hypothesis, best)
+        changed = replace(best, withheld=max(withheld, 0.0))
         result = [changed if own is best else own for own in result]
     if unknown_too and leads(result) == UNKNOWN:
         result = [unknown_again(w, none, believed) if w.name == UNKNOWN else w for w in result]

@@ -589,6 +589,32 @@ def test_attitudes_are_aligned_where_neighbours_know_nothing() -> None:
     assert late.misaligned(57.3 * np.eye(3)) > 2.0 * BY_CHANCE
 
 
+def test_a_first_catch_turns_no_axes() -> None:
+    """Seconds of thrust in the first row, before what its rates show: no rotation by degrees.
+
+    A flight by another simulator was refused for it (body rates about z × 0.90). Control: nothing
+    is known of what was fired.
+    """
+    rng, rows = np.random.default_rng(19), 300
+    time_s = 4.0 * np.arange(rows)
+    slow = 1e-5 * np.sin(0.005 * time_s[:, None] + np.array([0.0, 1.0, 2.0]))
+    fired = np.zeros((rows, 3))
+    fired[1:] = [1.6e-4, -0.2e-4, 4.0e-4]
+    rate = slow - fired[-1] * (np.arange(rows) == 0)[:, None]
+    turn = np.concatenate([np.zeros((1, 3)), np.cumsum(2.0 * (rate[1:] + rate[:-1]), axis=0)])
+    turn[1:] += 1.5 * fired[-1] * [1.0, 1.0, -1.0]  # at other moments about each axis
+    attitude = np.column_stack([0.5 * (turn + rng.normal(0.0, 1e-5, turn.shape)), np.ones(rows)])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    motion = Motion(time_s, attitude, rate + rng.normal(0.0, 2e-6, rate.shape))
+    unknown, known = turning_of(motion), turning_of(motion, None, fired)
+    assert unknown is not None
+    assert known is not None
+    assert unknown.misaligned(np.eye(3)) > 2.0 * BY_CHANCE
+    assert known.misaligned(np.eye(3)) < 0.3 * BY_CHANCE
+    exchanged = np.eye(3)[[1, 0, 2]]
+    assert known.misaligned(exchanged) > 4.0 * BY_CHANCE
+
+
 def fired_with_the_rows() -> tuple[Motion, Array]:
     """Rows every second while wheels ramp, all pulses beginning with a row; and the wheels' drive.
 

@@ -32,6 +32,7 @@ LAG_SD_S: Final = 0.5
 INSTRUMENTS: Final = 6  # rates of both neighbours, three axes each
 LONGEST_STEP: Final = 3.0
 """Of the median: over longer gaps the mean of two rates is no mean rate (judgement)."""
+LEAST_VARIANCE: Final = 1e-24  # (rad/s)², of noise: below any gyro's
 LEAST_STEPS: Final = 12  # judgement: two for each instrument, fewer are not asked
 SHARED: Final = 3.0
 """Steps that what one pulse brings counts for: a limit cycle in step with the rows drifts past them
@@ -60,13 +61,14 @@ class Turning:
     pulsed: Array  # (3,) variance that pulses at unknown moments bring to a step
     steps: int
     each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
+    jumped: Array  # (n,) variance that its pulses bring to an interval, all axes together
     bias_rad_s: Array  # (3,) by which rates may be off on the whole: what is found, and its noise
 
     def variance(self, rate: Array) -> Array:
         """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
         turned, common, recorded = self.squares
         left = turned - 2.0 * rate @ common + rate @ recorded @ rate.T
-        return np.maximum(np.diag(left) / self.steps, 1e-24) + self.pulsed
+        return np.maximum(np.diag(left) / self.steps, LEAST_VARIANCE) + self.pulsed
 
     def factor(self, axes: Sequence[int]) -> float:
         """The one factor of recorded rates that brings turns about some axes nearest."""
@@ -103,24 +105,34 @@ class Turning:
         best rotation of noise grows with the root of the rows); or both have
         as much as they like, so that Σ y x estimates the power of the motion, which is neither
         negative nor above Σ x² or Σ y². A gyro's misalignment may be physics: as much as it brings
-        is noise.
+        is noise. Intervals weigh by their noise, that of half of them and of what thrusters fire:
+        one of a first catch, with seconds of thrust, would turn the best rotation by degrees.
         """
         chosen = list(axes)
         y, x = self.each[0][:, chosen], (self.each[1] @ rate.T)[:, chosen]
+        usual = max(float(np.median(np.sum((y - x) ** 2, axis=1))), LEAST_VARIANCE)
+        weight = usual / (usual + self.jumped)
         noise = (3.0 * GYRO_SD) ** 2
 
         lags = range(1, min(MOST_LAGS, len(y) // 4) + 1)
-        # turns, rates at the same time, rates at another
-        triples = [(y, x, x)]
+        # rows of the turns and of the rates
+        pairs = [(slice(None), slice(None))]
         for k in lags:
-            triples += [(y[k:], x[k:], x[:-k]), (y[:-k], x[:-k], x[k:])]
+            late, soon = slice(k, None), slice(None, -k)
+            pairs += [(late, soon), (soon, late)]
+        weighted = weight[:, None] * y
         yy, xx, moved, same = np.array(
             [
-                (np.sum(a**2), np.sum(b**2), np.sum(other**2), np.sum(a * b))
-                for a, b, other in triples
+                (
+                    np.sum(weighted[now] * y[now]),
+                    np.sum(weight[now] @ x[now] ** 2),
+                    np.sum(weight[now] @ x[then] ** 2),
+                    np.sum(weighted[now] * x[now]),
+                )
+                for now, then in pairs
             ]
         ).T
-        common = np.array([turned.T @ other for turned, _, other in triples])
+        common = np.array([weighted[now].T @ x[then] for now, then in pairs])
         # Σ y x of the axes that fit best
         best = common[:, 0, 0]
         if len(chosen) > 1:
@@ -177,7 +189,8 @@ def turning_of(
         np.zeros_like(rates) if each is None else each for each in (drive_rad_s, fired_rad_s)
     )
     half = 0.5 * joined(intervals_s[:, None] * np.diff(given, axis=0)) / step_s
-    kicks = joined((intervals_s[:, None] * np.diff(fired, axis=0)) ** 2) / step_s**2
+    jumps = np.diff(fired, axis=0)
+    kicks = joined((intervals_s[:, None] * jumps) ** 2) / step_s**2
     pulsed = SHARED * kicks.mean(axis=0) / 12.0
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
@@ -198,5 +211,6 @@ def turning_of(
     apart = each[0] - each[1]
     bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
+    jumped = np.sum(jumps[usual] ** 2, axis=1) / 12.0
     moments = (y.T @ z, x.T @ z, dx.T @ z, f.T @ z)
-    return Turning(*moments, inner, squares, pulsed, len(y) - 2, each, bias)
+    return Turning(*moments, inner, squares, pulsed, len(y) - 2, each, jumped, bias)
