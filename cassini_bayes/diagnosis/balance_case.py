@@ -304,6 +304,11 @@ class BalanceCase(Case[Hypothesis]):
         """Of the balance's model (:mod:`cassini_bayes.diagnosis.sizes`)."""
         return size_draws(weighed, rng)
 
+    def settled(self, weighed: Candidate) -> Sequence[SearchResult]:
+        """Of its effects."""
+        each = (effect.search_result for effect in weighed.hypothesis.effects)
+        return [result for result in each if result is not None]
+
     def refit(
         self,
         weighed: Candidate,

@@ -22,7 +22,7 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
-from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.effects.effect import Remainder, SearchResult
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
@@ -265,6 +265,11 @@ class Case(ABC, Generic[H]):
     @abstractmethod
     def sizes(self, weighed: Weighed[H], rng: np.random.Generator) -> Mapping[str, Size]:
         """Sizes of a cause by key."""
+
+    def settled(self, weighed: Weighed[H]) -> Sequence[SearchResult]:
+        """What searches before its fit have settled."""
+        del weighed
+        return ()
 
     def refit(
         self,

@@ -283,6 +283,7 @@ def _cause_records(
                 key: _size_record(size, case.kinds.unit(w.name, key)) for key, size in sizes.items()
             },
             "says": _sentence(case, w, sizes),
+            "settled": {key: v for own in case.settled(w) for key, v in own.record.items()},
             "onset": _onset_record(w),
             "forms": dict(w.forms),
             "confounded_with": list(verdict.confounded_with(w.name)) if is_shown else [],
@@ -328,7 +329,8 @@ def _sentence(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> 
         key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(weighed.name, key))
         for key, size in sizes.items()
     }
-    said, begins = case.kinds.says(weighed.name, stated), weighed.begins
+    settled = (own.said for own in case.settled(weighed))
+    said, begins = ", ".join([case.kinds.says(weighed.name, stated), *settled]), weighed.begins
     if begins is None or (not begins.event and begins.probability > SURE):
         return said
     when = f"from {begins.event} on" if begins.event else THROUGHOUT

@@ -42,6 +42,14 @@ class SearchResult(Protocol):
     def log_looks(self) -> float:
         """What the search cost, nats: the log of the number of places searched."""
 
+    @property
+    def said(self) -> str:
+        """What it has settled that no size says, as words that follow theirs."""
+
+    @property
+    def record(self) -> Mapping[str, object]:
+        """The same by key, for a diagnosis file."""
+
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """Columns of one event's telemetry that go with it."""
 

@@ -60,7 +60,7 @@ from cassini_bayes.effects.line_shapes import (
     shapes_of_cells,
     shapes_over_dampings,
 )
-from cassini_bayes.effects.wording import Clause
+from cassini_bayes.effects.wording import Clause, decimals_of, rounded
 from cassini_bayes.priors.distributions import Distribution
 
 SERIES: Final = ("flexible:cosine", "flexible:sine", "flexible:driven")
@@ -108,14 +108,16 @@ class Oscillation:
 
     Departures from them are counted in what ``span_s`` can tell apart: 1/T of the frequency,
     1/(ΩT) of the damping. ``step_s`` lies between the rates that show how the body moves.
-    ``log_looks`` is what the search costs, ``log_gain`` what it found, nats, about what the fit had
-    left. Motion is that of ``balanced`` rates where an event has them; ``measured`` is the share of
-    rows without.
+    ``direction_sd_deg`` is the standard deviation of an oblique direction along each arc across it,
+    0 for a body axis. ``log_looks`` is what the search costs, ``log_gain`` what it found, nats,
+    about what the fit had left. Motion is that of ``balanced`` rates where an event has them;
+    ``measured`` is the share of rows without.
     """
 
     frequency_hz: float
     damping: float
     direction: Direction
+    direction_sd_deg: float = 0.0
     log_looks: float = 0.0
     log_gain: float = 0.0
     span_s: float = 3_600.0
@@ -123,6 +125,20 @@ class Oscillation:
     measured: float = 1.0
     balanced: tuple[BalancedRates, ...] = field(default=(), compare=False)
     shapes: Shapes | None = field(default=None, compare=False)
+
+    @property
+    def said(self) -> str:
+        """What it swings about: a body axis by its name, or a unit vector in body axes."""
+        if self.direction in BODY_AXES:
+            return f"about {'XYZ'[BODY_AXES.index(self.direction)]}"
+        parts = ", ".join(rounded(part, 2) for part in self.direction)
+        off = rounded(self.direction_sd_deg, min(decimals_of(self.direction_sd_deg), 0))
+        return f"about ({parts}) in body axes, ± {off}° (1 σ)"
+
+    @property
+    def record(self) -> Mapping[str, object]:
+        """Direction in body axes and its standard deviation, degrees."""
+        return {"direction": list(self.direction), "direction_sd_deg": self.direction_sd_deg}
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """The three series (:func:`oscillation_series`) of an event and their slopes.
@@ -385,7 +401,8 @@ def find_oscillation(
     near = {line: of_directions(*line).about_axes for line in finer}
     others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
-    return Oscillation(*found, log_looks, gain, span, step, shapes=shapes)
+    sd = 0.0 if of_best.best in BODY_AXES else float(np.degrees(of_best.oblique_sd_rad))
+    return Oscillation(*found, sd, log_looks, gain, span, step, shapes=shapes)
 
 
 def _at_maximum(

@@ -99,8 +99,8 @@ class AllDirections:
         return Posterior(*(values[: len(BODY_AXES)] for values in self._tried))
 
     @cached_property
-    def _oblique(self) -> tuple[Array, float, float]:
-        """The best direction (3,), its log evidence, and that of all oblique ones."""
+    def _oblique(self) -> tuple[Array, Array, float]:
+        """The best direction (3,), curvatures (2,) of its log evidence, that of all oblique."""
         tried = self._tried.log_evidence
         n, value = _TRIED[int(tried.argmax())], float(tried.max())
         curvature = np.eye(2)
@@ -120,7 +120,12 @@ class AllDirections:
                 break
         # a direction that is hardly known may be any: no more than the hemisphere
         bends = np.maximum(np.linalg.eigvalsh(curvature), 1.0)
-        return n, value, value - 0.5 * float(np.log(bends).sum())
+        return n, bends, value - 0.5 * float(np.log(bends).sum())
+
+    @property
+    def oblique_sd_rad(self) -> float:
+        """Standard deviation of the best direction along an arc across it, both arcs' mean."""
+        return float(np.sqrt(np.mean(1.0 / self._oblique[1])))
 
     def _local(self, n: Array) -> tuple[Array, Array, Array]:
         """Slope (2,) and curvature (2, 2) of the log evidence in two directions (3, 2) across n."""

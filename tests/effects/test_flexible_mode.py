@@ -189,10 +189,16 @@ def test_an_oblique_line_is_found_with_its_direction(monkeypatch: pytest.MonkeyP
     assert found is not None
     assert found.frequency_hz == pytest.approx(0.059, abs=1.0 / TIME[-1])
     assert abs(np.dot(found.direction, OBLIQUE)) > np.cos(3.5 / 9.0)
+    assert found.direction_sd_deg == pytest.approx(np.degrees(1.0 / 9.0), rel=0.3)
+    x, y, z = (f"{part:.2f}".replace("-", "−") for part in found.direction)
+    off = f"{found.direction_sd_deg:.0f}"
+    assert found.said == f"about ({x}, {y}, {z}) in body axes, ± {off}° (1 σ)"
     monkeypatch.setattr(line_directions, "ALONG_AXES", 1.0 - 1e-12)
     about_axis = found_in(rates, left)
     assert about_axis is not None
     assert about_axis.direction in BODY_AXES
+    assert about_axis.said in {"about X", "about Y", "about Z"}
+    assert about_axis.record["direction_sd_deg"] == 0.0
     assert found.log_gain - found.log_looks > about_axis.log_gain - about_axis.log_looks + 10.0
 
 

@@ -65,4 +65,9 @@ def test_the_evidence_of_all_directions_is_that_of_a_fine_grid(
     if not along_axis and sigmas > 5.0:
         best = seen.evidence_about(np.array([seen.best]))[0]
         assert best == pytest.approx(everywhere.max(), abs=0.02)
+        # a line has no sign: squares of the sine to the best direction, two arcs of them
+        weights = np.exp(everywhere - everywhere.max())
+        across = 1.0 - (hemisphere(40_000) @ seen.best) ** 2
+        spread = np.sqrt(0.5 * np.average(across, weights=weights))
+        assert seen.oblique_sd_rad == pytest.approx(spread, rel=0.1)
     assert (seen.best in BODY_AXES) == along_axis or sigmas < 5.0
