@@ -44,7 +44,7 @@ from cassini_bayes.diagnosis.read import read_estimate_case, read_events
 from cassini_bayes.diagnosis.search import newton_search
 from cassini_bayes.diagnosis.verdict import ranked, weigh
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
-from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.events.totals import read_totals
 from cassini_bayes.model import (
     Model,

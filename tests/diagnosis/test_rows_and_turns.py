@@ -15,7 +15,8 @@ from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.effects.appendage import known_motion
 from cassini_bayes.effects.effect import Remainder
-from cassini_bayes.effects.flexible_mode import find_oscillation, search
+from cassini_bayes.effects.flexible_mode import search
+from cassini_bayes.effects.line_search import find_oscillation
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.blind.flights import reduced

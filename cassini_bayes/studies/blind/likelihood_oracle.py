@@ -26,7 +26,7 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.sampling.warmstart import hessian
 from cassini_bayes.studies.blind.oracle import KINK, KINKED, Classifier, about_null, side_of

@@ -31,7 +31,7 @@ from cassini_bayes.diagnosis.modes import Mode
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS, combined, rate_information
 from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation

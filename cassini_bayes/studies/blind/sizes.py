@@ -19,8 +19,8 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode, highest_mode, mode_near
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.flexible_mode import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.effects.line_directions import BODY_AXES
+from cassini_bayes.effects.oscillation import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import Hidden, Scene

@@ -23,7 +23,7 @@ from cassini_bayes.diagnosis.sizes import size_draws, summarised
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.catalogue import Catalogue
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.flexible_mode import Oscillation
+from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.priors.reader import Priors
