@@ -201,7 +201,7 @@ class BalanceCase(Case[Hypothesis]):
         for (effect, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None:
                 best = max(w.log_evidence for w in weighed)
-                result = replace(effect, search_result=settled)
+                result = effect.settled_by(settled)
                 weighed.append(self._settled(result, (), base, best, workers))
         believed = events.catalogue.unknown.torque_noise
         if is_known := leads(weighed) == UNKNOWN:  # before draws, for what is near the best
@@ -272,7 +272,7 @@ class BalanceCase(Case[Hypothesis]):
         weighed = weigh_extensions(pairs, near, base, silent, workers, least)
         for (e, _), settled in zip(to_find, settled_by, strict=True):
             if settled is not None and _could_gain(settled, SECOND_CAUSE_NATS):
-                second = replace(e, search_result=settled)
+                second = e.settled_by(settled)
                 best = base.log_evidence
                 weighed.append(self._settled(second, [effect], base, best, workers))
         reach = [e.net_evidence + e.unsure + CONFOUNDED_NATS for e in weighed]

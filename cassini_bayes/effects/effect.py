@@ -43,6 +43,10 @@ class SearchResult(Protocol):
         """What the search cost, nats: the log of the number of places searched."""
 
     @property
+    def prior_scales(self) -> Mapping[str, float]:
+        """Factors by key on priors of sizes that it has chosen among several; 1 without."""
+
+    @property
     def said(self) -> str:
         """What it has settled that no size says, as words that follow theirs."""
 
@@ -268,6 +272,14 @@ class Effect:
             replace(p, distribution=_wider(p.distribution, width)) for p in self.parameters
         )
         return replace(self, parameters=parameters)
+
+    def settled_by(self, result: SearchResult) -> Effect:
+        """The same effect as a search has settled it, its priors those that go with it."""
+        parameters = tuple(
+            replace(p, distribution=_wider(p.distribution, result.prior_scales.get(p.key, 1.0)))
+            for p in self.parameters
+        )
+        return replace(self, search_result=result, parameters=parameters)
 
     def setting(self, spacecraft: Spacecraft, branch: str) -> Setting:
         """Where it acts."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.effects.line_shapes import Direction, Posterior, posterior
+from cassini_bayes.effects.line_shapes import Direction, Posterior, over_sizes, posterior
 
 BODY_AXES: Final[tuple[Direction, ...]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ALONG_AXES: Final = 0.5  # prior probability of a body axis: judgement
@@ -56,11 +56,11 @@ def of_turning(directions: Array) -> Array:
 
 
 def sizes_about(directions: Array, moments: Array, scales: Array) -> Array:
-    """Momentum (m, 3) of the priors' scales (3,) about directions (m, 3), N m s.
+    """Momentum (K, m, 3) of K scales (K, 3) of the sizes about directions (m, 3), N m s.
 
     ``moments`` (3,) are the body's about its axes, kg m².
     """
-    return np.asarray((np.square(directions) @ moments)[:, None] * scales)
+    return np.asarray((np.square(directions) @ moments)[:, None] * scales[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +68,8 @@ class AllDirections:
     """What rows show of a line of one frequency and damping, along all axes.
 
     ``gram`` (15, 15) and ``projection`` (15,) are those of its five columns along X, Y and Z, what
-    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (3,) the
-    priors' of cosine and sine (rad/s) and of the share of the inertia.
+    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (K, 3) those
+    of cosine and sine (rad/s) and of the share of the inertia that are believed in.
     """
 
     gram: Array
@@ -78,7 +78,7 @@ class AllDirections:
     scales: Array
 
     def posterior_about(self, directions: Array) -> Posterior:
-        """Posterior of the sizes about every direction (m, 3)."""
+        """Posterior (K, m) of the sizes about every direction (m, 3)."""
         weights = directions[:, :, None, None] * of_turning(directions)[:, None]
         weights = weights.reshape(len(directions), 3 * COLUMNS, 3)
         gram = np.swapaxes(weights, 1, 2) @ self.gram @ weights
@@ -87,7 +87,7 @@ class AllDirections:
 
     def evidence_about(self, directions: Array) -> Array:
         """Log evidence (m,) about every direction, nats."""
-        return self.posterior_about(directions).log_evidence
+        return over_sizes(self.posterior_about(directions).log_evidence)
 
     @cached_property
     def _tried(self) -> Posterior:
@@ -95,13 +95,17 @@ class AllDirections:
 
     @property
     def about_axes(self) -> Posterior:
-        """Posterior (3,) of the sizes about X, Y and Z."""
-        return Posterior(*(values[: len(BODY_AXES)] for values in self._tried))
+        """Posterior (K, 3) of the sizes about X, Y and Z."""
+        return Posterior(*(values[:, : len(BODY_AXES)] for values in self._tried))
+
+    @cached_property
+    def _evidence_tried(self) -> Array:
+        return over_sizes(self._tried.log_evidence)
 
     @cached_property
     def _oblique(self) -> tuple[Array, Array, float]:
         """The best direction (3,), curvatures (2,) of its log evidence, that of all oblique."""
-        tried = self._tried.log_evidence
+        tried = self._evidence_tried
         n, value = _TRIED[int(tried.argmax())], float(tried.max())
         curvature = np.eye(2)
         for _ in range(MOST_STEPS):
@@ -143,9 +147,7 @@ class AllDirections:
     @property
     def rough_evidence(self) -> float:
         """Over all directions by those looked at, nats: good to rank lines by, and quick."""
-        oblique = np.logaddexp.reduce(self._tried.log_evidence[len(BODY_AXES) :]) - np.log(
-            LOOKED_AT
-        )
+        oblique = np.logaddexp.reduce(self._evidence_tried[len(BODY_AXES) :]) - np.log(LOOKED_AT)
         return float(np.logaddexp(self._of_axes, oblique + np.log(1.0 - ALONG_AXES)))
 
     @property
@@ -155,7 +157,7 @@ class AllDirections:
 
     @property
     def _of_axes(self) -> float:
-        about = np.logaddexp.reduce(self.about_axes.log_evidence)
+        about = np.logaddexp.reduce(self._evidence_tried[: len(BODY_AXES)])
         return float(about + np.log(ALONG_AXES / len(BODY_AXES)))
 
     @property
@@ -166,6 +168,6 @@ class AllDirections:
     def best(self) -> Direction:
         """A body axis if those have more of the evidence, else the best oblique direction."""
         if self._of_axes > self._of_oblique:
-            return BODY_AXES[int(self.about_axes.log_evidence.argmax())]
+            return BODY_AXES[int(self._evidence_tried[: len(BODY_AXES)].argmax())]
         x, y, z = (float(part) for part in self._oblique[0])
         return x, y, z

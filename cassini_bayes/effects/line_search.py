@@ -37,7 +37,9 @@ from cassini_bayes.effects.line_shapes import (
     Line,
     Posterior,
     Shapes,
+    over_sizes,
     posterior,
+    scales_of_sizes,
     shapes_of_cells,
     shapes_over_dampings,
 )
@@ -89,7 +91,8 @@ def find_oscillation(
     frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
     if len(frequencies) == 0:
         return None
-    units = np.array([scales[0], *scales])
+    believed = np.array([scales[0], *scales])
+    units = scales_of_sizes(believed)
     size = sizes_about(np.array(BODY_AXES), inertia_kg_m2, units)
     looks = [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
     peaks = _peaks(np.maximum.reduce([_about_any_direction(look) for look in looks]))
@@ -123,25 +126,29 @@ def find_oscillation(
         along = line[2]
         (columns,) = of_turning(np.array([along]))
         products = _products(rows, motions, [views(along)], factor, line[:2], columns)
-        (own,) = sizes_about(np.array([along]), inertia_kg_m2, units)
-        return posterior(*products, own)
+        return posterior(*products, sizes_about(np.array([along]), inertia_kg_m2, units)[:, 0])
 
     frequency, damping = _at_maximum(
-        lambda f, d: float(posterior_of((f, d, direction)).log_evidence), frequency, damping, span
+        lambda f, d: float(over_sizes(posterior_of((f, d, direction)).log_evidence)),
+        frequency,
+        damping,
+        span,
     )
     of_best = of_directions(frequency, damping)
     found = (frequency, damping, of_best.best)
-    gain = float(posterior_of(found).log_evidence)
-    # of all directions one is taken, of all lines one: what others have of the evidence is a cost
-    of_direction = gain - of_best.log_evidence
-    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + of_direction
+    by_size = posterior_of(found).log_evidence
+    most, gain = int(by_size.argmax()), float(by_size.max())
+    # one is taken of all scales, directions and lines: what others have of the evidence is a cost
+    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + gain - of_best.log_evidence
+    of_direction = float(over_sizes(by_size)) - of_best.log_evidence
     step = float(np.median([motion.step_s for motion in motions]))
     of_found = shapes_over_dampings(posterior_of, found, span, units).less(of_direction)
     near = {line: of_directions(*line).about_axes for line in finer}
     others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
     shapes = Shapes.joined([of_found, *others])
     sd = 0.0 if of_best.best in BODY_AXES else float(np.degrees(of_best.oblique_sd_rad))
-    return Oscillation(*found, sd, log_looks, gain, span, step, shapes=shapes)
+    swing, _, share = (float(of) for of in units[most] / believed)
+    return Oscillation(*found, sd, log_looks, gain, span, step, swing, share, shapes=shapes)
 
 
 def _at_maximum(
@@ -161,18 +168,18 @@ def _at_maximum(
 
 
 def _about_any_direction(look: Posterior) -> Array:
-    """Log evidence (f,) about the best direction, roughly, by that (f, 3) about every axis.
+    """Log evidence (f,) about the best direction, roughly, by that (K, f, 3) about every axis.
 
     Whitened amplitudes along the axes, (3, 2) cosines and sines, gain half the square of their
     largest singular value where the line is oblique.
     """
     free = look.covariance[..., :2, :2]
     factor = np.linalg.cholesky(free)
-    whitened = np.linalg.solve(factor, look.mean[..., :2, None])[..., 0]  # (f, 3, 2)
-    largest = np.linalg.eigvalsh(np.swapaxes(whitened, 1, 2) @ whitened)[:, -1]
+    whitened = np.linalg.solve(factor, look.mean[..., :2, None])[..., 0]  # (K, f, 3, 2)
+    largest = np.linalg.eigvalsh(np.swapaxes(whitened, -2, -1) @ whitened)[..., -1]
     own = 0.5 * np.linalg.slogdet(free)[1]
-    oblique = 0.5 * largest + own.min(axis=1)
-    return np.asarray(np.maximum(look.log_evidence.max(axis=1), oblique))
+    oblique = 0.5 * largest + own.min(axis=-1)
+    return over_sizes(np.maximum(look.log_evidence.max(axis=-1), oblique))
 
 
 def _other_lines(
@@ -184,11 +191,11 @@ def _other_lines(
 ) -> list[Shapes]:
     """All lines of the search but the one found: those about the peaks, and the rest.
 
-    ``span_s`` is that of the longest event, ``finer`` has the posteriors (3,) about body axes of
+    ``span_s`` is that of the longest event, ``finer`` has the posteriors (K, 3) about body axes of
     frequencies and dampings about the peaks, ``coarse`` the first look: frequencies (f,), the
-    posterior (f, 3) at every damping, and the places of its peaks. Beside a peak and within two
-    widths of the line found is no other line. Oblique lines are taken to have as much of the
-    evidence as those about body axes.
+    posterior (K, f, 3) at every damping, and the places of its peaks. ``scales`` are (K, 3). Beside
+    a peak and within two widths of the line found is no other line. Oblique lines are taken to have
+    as much of the evidence as those about body axes.
     """
     frequencies, looks, peaks = coarse
     spacing = 1.0 / span_s
@@ -203,11 +210,11 @@ def _other_lines(
     at = np.broadcast_to(frequencies[:, None], is_rest.shape)[is_rest]
     shapes = []
     for damping, look in zip(COARSE_DAMPINGS, looks, strict=True):
-        rest = Posterior(*(values[is_rest] for values in look))
+        rest = Posterior(*(values[:, is_rest] for values in look))
         of_all = Dampings(damping, *DAMPED) if damping > 0.0 else NONE
         shapes.append(shapes_of_cells(rest, at, of_all, spacing, scales).less(of_axis))
         near = [
-            (line[0], Posterior(*(values[axis] for values in own)))
+            (line[0], Posterior(*(values[:, axis] for values in own)))
             for line, own in finer.items()
             if line[1] == damping
             for axis in range(len(BODY_AXES))
@@ -228,7 +235,10 @@ def _coarse(
     damping: float,
     size: Array,
 ) -> Posterior:
-    """Posterior (f, 3) of every frequency about every axis, columns as they are."""
+    """Posterior (K, f, 3) of every frequency about every axis, columns as they are.
+
+    ``size`` (K, 3, 3) has K scales of the sizes about every axis.
+    """
     gram = np.zeros((len(frequencies), 3, 3, 3))
     projection = np.zeros((len(frequencies), 3, 3))
     for event, motion in zip(rows, motions, strict=True):
@@ -250,7 +260,7 @@ def _coarse(
             places = np.array([0, 1, 2 + axis])
             gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
             projection[:, axis] += along[:, places, axis]
-    return posterior(gram, projection, size)
+    return posterior(gram, projection, size[:, None])
 
 
 def _peaks(scores: Array) -> list[int]:

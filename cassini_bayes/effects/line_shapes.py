@@ -9,6 +9,9 @@ left, both with what the baseline takes away taken off,
 
 in units of S, and the share is not below zero (docs/topics/criticism.md §2). Lines share the
 probability by Z, the prior of their damping, and the frequencies that they stand for.
+
+How large a swing is nobody knows to an order of magnitude: the scales S are one of several
+(:func:`scales_of_sizes`), K of them, all alike a priori.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr, ndtri, softmax
+from scipy.special import log_ndtr, logsumexp, ndtr, ndtri, softmax
 
 from cassini_bayes.computing.arrays import Array
 
@@ -26,6 +29,9 @@ Direction = tuple[float, float, float]
 """Unit vector in body axes."""
 Line = tuple[float, float, Direction]
 """Frequency (Hz), damping, and what it swings about."""
+SIZES: Final = (1.0, 0.3, 0.1)
+"""Of the priors' scales, a third each, as the order of magnitude is not known (judgement). With one
+scale a swing that is a tenth of it pays 5 nats more than one that is as large, a share 2."""
 NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
 NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
 """Dampings that sizes are averaged over, and those about the best; frequencies about theirs."""
@@ -37,6 +43,16 @@ LEAST_BEND: Final = 0.05  # nats: a frequency is known to four steps at least, o
 FREQUENCY_STEP: Final = 0.3  # of a line's width, for its curvature by frequency: judgement
 SPAN_STEP: Final = 0.05
 """Of what the span can tell apart, for the curvature by damping; as slopes of columns have it."""
+
+
+def scales_of_sizes(scales: Array) -> Array:
+    """Scales (K, 3) of cosine, sine and share that are believed in, by the priors' (3,)."""
+    return np.array([(swing, swing, share) for swing in SIZES for share in SIZES]) * scales
+
+
+def over_sizes(log_evidence: Array) -> Array:
+    """Log evidence (...) with all scales, by those (K, ...) of each."""
+    return np.asarray(logsumexp(log_evidence, axis=0) - np.log(len(log_evidence)))
 
 
 class Posterior(NamedTuple):
@@ -51,8 +67,8 @@ class Posterior(NamedTuple):
 
     @staticmethod
     def stacked(each: Iterable[Posterior]) -> Posterior:
-        """Those of several lines as one, along the first axis."""
-        return Posterior(*(np.array(own) for own in zip(*each, strict=True)))
+        """Those (K,) of several lines as one (K, C)."""
+        return Posterior(*(np.stack(own, axis=1) for own in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -121,18 +137,19 @@ NONE: Final = Dampings(0.0, 0.0, 0.0)
 def shapes_of_cells(
     found: Posterior, frequency_hz: Array, damping: Dampings, width_hz: float, scales: Array
 ) -> Shapes:
-    """Lines (K,) that stand for all within ``width_hz`` about them.
+    """Lines (K C,) that stand for all within ``width_hz`` about C frequencies.
 
-    ``scales`` (3,) are the priors' of the sizes.
+    ``found`` (K, C) are their posteriors by K scales of the sizes, ``scales`` (K, 3).
     """
-    count = len(frequency_hz)
+    weight = found.log_evidence + damping.log_prior + np.log(width_hz / len(scales))
+    covariance = found.covariance * (scales[:, None, :, None] * scales[:, None, None, :])
     return Shapes(
-        found.log_evidence + damping.log_prior + np.log(width_hz),
-        np.tile(damping[1:], (count, 1)),
-        frequency_hz,
-        np.full(count, width_hz / np.sqrt(12.0)),
-        scales * found.mean,
-        found.covariance * np.outer(scales, scales),
+        weight.ravel(),
+        np.tile(damping[1:], (weight.size, 1)),
+        np.tile(frequency_hz, len(scales)),
+        np.full(weight.size, width_hz / np.sqrt(12.0)),
+        (scales[:, None] * found.mean).reshape(-1, 3),
+        covariance.reshape(-1, 3, 3),
     )
 
 
@@ -144,26 +161,30 @@ def shapes_over_dampings(
 ) -> Shapes:
     """A line found at other dampings (:data:`NODES`), for each at five frequencies.
 
-    ``span_s`` is that of the longest event, ``scales`` (3,) are the priors' of the sizes.
+    ``posterior_of`` has those (K,) of a line by K scales of the sizes, ``scales`` (K, 3).
+    ``span_s`` is that of the longest event.
     """
+
+    def evidence_of(other: Line) -> float:
+        return float(over_sizes(posterior_of(other).log_evidence))
 
     def peak(middle: float, step: float, damping: float) -> tuple[float, float]:
         shifted = ((middle + s, damping, direction) for s in (-step, 0.0, step))
-        shift, sd = _peak([float(posterior_of(other).log_evidence) for other in shifted], step)
+        shift, sd = _peak([evidence_of(other) for other in shifted], step)
         return middle + shift, sd
 
     frequency_hz, found, direction = line
     step = SPAN_STEP / (2.0 * np.pi * frequency_hz * span_s)
     middle = max(found, step)
     beside = ((frequency_hz, middle + d, direction) for d in (-step, 0.0, step))
-    _, sd = _peak([float(posterior_of(other).log_evidence) for other in beside], step)
+    _, sd = _peak([evidence_of(other) for other in beside], step)
     near = found + sd * np.array(NEAR_BEST)
     near = near[(near > DAMPED[0]) & (near < DAMPED[1])]
     cells = []
     for damping in _cells(np.unique(np.concatenate([NODES, near]))):
         step = FREQUENCY_STEP * float(np.hypot(1.0 / span_s, damping.one * frequency_hz))
         best, sd = peak(frequency_hz, step, damping.one)
-        evidence = float(posterior_of((best, damping.one, direction)).log_evidence)
+        evidence = evidence_of((best, damping.one, direction))
         cells.append((evidence + damping.log_prior + np.log(sd), damping, best, sd))
     most = max(weight for weight, *_ in cells)
     shapes = []

@@ -54,8 +54,9 @@ class Oscillation:
     1/(ΩT) of the damping. ``step_s`` lies between the rates that show how the body moves.
     ``direction_sd_deg`` is the standard deviation of an oblique direction along each arc across it,
     0 for a body axis. ``log_looks`` is what the search costs, ``log_gain`` what it found, nats,
-    about what the fit had left. Motion is that of ``balanced`` rates where an event has them;
-    ``measured`` is the share of rows without.
+    about what the fit had left; ``swing_scale`` and ``share_scale`` are those of the priors' scales
+    that have most of the evidence (:data:`.line_shapes.SIZES`). Motion is that of ``balanced``
+    rates where an event has them; ``measured`` is the share of rows without.
     """
 
     frequency_hz: float
@@ -66,6 +67,8 @@ class Oscillation:
     log_gain: float = 0.0
     span_s: float = 3_600.0
     step_s: float = 1.0
+    swing_scale: float = 1.0
+    share_scale: float = 1.0
     measured: float = 1.0
     balanced: tuple[BalancedRates, ...] = field(default=(), compare=False)
     shapes: Shapes | None = field(default=None, compare=False)
@@ -78,6 +81,12 @@ class Oscillation:
         parts = ", ".join(rounded(part, 2) for part in self.direction)
         off = rounded(self.direction_sd_deg, min(decimals_of(self.direction_sd_deg), 0))
         return f"about ({parts}) in body axes, ± {off}° (1 σ)"
+
+    @property
+    def prior_scales(self) -> Mapping[str, float]:
+        """Of its sizes by key."""
+        swing = dict.fromkeys(("cosine_rad_s", "sine_rad_s"), self.swing_scale)
+        return {**swing, "inertia_fraction": self.share_scale}
 
     @property
     def record(self) -> Mapping[str, object]:

@@ -30,18 +30,19 @@ def test_columns_of_a_direction_are_those_of_the_line_along_it() -> None:
     left, moments, scales = (
         rng.standard_normal((50, 3)),
         np.array([8.0, 7.0, 6.0]),
-        np.array([0.1, 0.1, 0.05]),
+        np.array([[0.1, 0.1, 0.05], [0.05, 0.05, 0.1]]),
     )
     whole = np.kron(np.eye(3), columns.T)
     seen = AllDirections(whole.T @ whole, whole.T @ left.T.ravel(), moments, scales)
     about = OBLIQUE @ np.array(driven)
     plain = np.stack([np.outer(OBLIQUE, own).ravel() for own in (cosine, sine, -about)], axis=1)
-    size = (np.square(OBLIQUE) @ moments) * scales
-    precision = np.eye(3) + (plain * size).T @ (plain * size)
     found = seen.posterior_about(OBLIQUE[None])
-    assert found.covariance[0] == pytest.approx(np.linalg.inv(precision))
-    mean = np.linalg.solve(precision, (plain * size).T @ left.T.ravel())
-    assert found.mean[0] == pytest.approx(mean)
+    for of, covariance, by_rows in zip(scales, found.covariance, found.mean, strict=True):
+        size = (np.square(OBLIQUE) @ moments) * of
+        precision = np.eye(3) + (plain * size).T @ (plain * size)
+        assert covariance[0] == pytest.approx(np.linalg.inv(precision))
+        mean = np.linalg.solve(precision, (plain * size).T @ left.T.ravel())
+        assert by_rows[0] == pytest.approx(mean)
 
 
 @pytest.mark.parametrize(("along_axis", "sigmas"), [(False, 9.0), (False, 3.0), (True, 6.0)])
@@ -52,14 +53,14 @@ def test_the_evidence_of_all_directions_is_that_of_a_fine_grid(
     rng = np.random.default_rng(6)
     columns = rng.standard_normal((400, 5))
     direction = BODY_AXES[1] if along_axis else OBLIQUE
-    moments, scales = np.array([8.0, 7.0, 6.0]), np.array([1.0, 1.0, 0.5])
+    moments, scales = np.array([8.0, 7.0, 6.0]), np.array([[1.0, 1.0, 0.5]])
     size = sigmas / np.sqrt(400.0)
     left = rng.standard_normal((400, 3)) + size * np.outer(columns[:, 0], direction)
     whole = np.kron(np.eye(3), columns)
     seen = AllDirections(whole.T @ whole, whole.T @ left.T.ravel(), moments, scales)
     everywhere = seen.evidence_about(hemisphere(40_000))
     oblique = np.logaddexp.reduce(everywhere) - np.log(40_000)
-    axes = np.logaddexp.reduce(seen.about_axes.log_evidence) - np.log(3.0)
+    axes = np.logaddexp.reduce(seen.about_axes.log_evidence[0]) - np.log(3.0)
     exact = np.logaddexp(np.log(ALONG_AXES) + axes, np.log(1.0 - ALONG_AXES) + oblique)
     assert seen.log_evidence == pytest.approx(exact, abs=0.5)
     if not along_axis and sigmas > 5.0:

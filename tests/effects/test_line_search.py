@@ -13,13 +13,13 @@ from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.sizes import summarised
-from cassini_bayes.effects import line_directions
+from cassini_bayes.effects import line_directions, line_shapes
 from cassini_bayes.effects.appendage import known_motion, oscillation_series
 from cassini_bayes.effects.effect import Setting
 from cassini_bayes.effects.flexible_mode import drawn
 from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.effects.line_search import find_oscillation
-from cassini_bayes.effects.line_shapes import DAMPED, UNDAMPED
+from cassini_bayes.effects.line_shapes import DAMPED, SIZES, UNDAMPED
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.reader import read_priors
 
@@ -61,9 +61,11 @@ def test_a_line_is_found_with_axis_and_frequency(
     assert found.direction == (0.0, 1.0, 0.0)
     assert found.frequency_hz == pytest.approx(hertz, abs=1.0 / seconds)
     looks = (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # lines, dampings
-    # a body axis is one of three, or of six where no oblique direction has any of the evidence
-    assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * looks) + 0.1
+    # a body axis is one of three, or of six where no oblique direction has any of the evidence, and
+    # a scale one of nine
+    assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * 9.0 * looks) + 0.1
     monkeypatch.setattr(line_directions, "ALONG_AXES", 1.0 - 1e-12)
+    monkeypatch.setattr(line_shapes, "SIZES", (1.0,))
     about_axis = found_in(shown, left, time_s)
     assert about_axis is not None
     assert about_axis.log_looks == pytest.approx(np.log(3.0 * looks), abs=1e-2)
@@ -104,6 +106,34 @@ def test_an_oblique_line_is_found_with_its_direction(monkeypatch: pytest.MonkeyP
     assert found.log_gain - found.log_looks > about_axis.log_gain - about_axis.log_looks + 10.0
 
 
+def test_a_small_swing_pays_less_for_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line of 7 σ, a tenth of the prior's scale, gains 3 nats and more by scales of its order.
+
+    Its prior has the scale that it was found with. Control: one as large as the scale gains none,
+    and pays what the choice among nine costs at most.
+    """
+    small = found_in(*swing(OBLIQUE, 7.0, np.random.default_rng(8)))
+    noise, left = white(np.random.default_rng(8))
+    large = INERTIA[1] * 1.5e-5 * np.cos(2.0 * np.pi * 0.059 * TIME + 1.0)
+    left = left + large[:, None] * np.eye(3)[1]
+    plain = found_in(noise, left)
+    monkeypatch.setattr(line_shapes, "SIZES", (1.0,))
+    alone, of_one = found_in(*swing(OBLIQUE, 7.0, np.random.default_rng(8))), found_in(noise, left)
+    assert small is not None
+    assert plain is not None
+    assert alone is not None
+    assert of_one is not None
+
+    def net(line: Oscillation) -> float:
+        return line.log_gain - line.log_looks
+
+    assert net(small) > net(alone) + 3.0
+    assert small.swing_scale < 0.5
+    assert small.prior_scales["cosine_rad_s"] == small.swing_scale
+    assert plain.swing_scale == 1.0
+    assert net(of_one) - np.log(9.0) < net(plain) < net(of_one) + 2.0
+
+
 def test_an_appendage_that_only_the_body_drives_is_found() -> None:
     """Steps of the rate, as pulses make them, leave rings that do not keep one phase."""
     rng = np.random.default_rng(3)
@@ -137,8 +167,9 @@ def test_sizes_of_lines_from_the_prior_are_held() -> None:
         hertz, damped = rng.uniform(0.007, 0.5), rng.random() > UNDAMPED
         damping = damped * np.exp(rng.uniform(*np.log(DAMPED)))
         cosine, sine, driven = oscillation_series(time_s, motion, hertz, damping)
-        c, s = scales[0] * rng.standard_normal(2)
-        share = scales[1] * abs(rng.standard_normal())
+        swing, moved = rng.choice(SIZES, 2)
+        c, s = swing * scales[0] * rng.standard_normal(2)
+        share = moved * scales[1] * abs(rng.standard_normal())
         left[:, axis] += INERTIA[axis] * (c * cosine + s * sine - share * driven[:, axis])
         rows, linear = event(shown, left, time_s)
         found = find_oscillation([rows], [motion], linear, INERTIA, scales)

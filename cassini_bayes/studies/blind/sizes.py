@@ -20,6 +20,7 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothe
 from cassini_bayes.diagnosis.modes import Mode, highest_mode, mode_near
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.line_directions import BODY_AXES
+from cassini_bayes.effects.line_shapes import SIZES
 from cassini_bayes.effects.oscillation import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
@@ -348,17 +349,19 @@ def _flexible(
         "axis": float(rng.integers(3)),
     }
     drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
-    amplitude = float(np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
+    swing, moved = rng.choice(SIZES, 2)
+    amplitude = float(swing * np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
+    share = float(moved * drawn["inertia_fraction"])
     scales = {p.key: p.distribution.scale for p in effect.parameters}
     largest = LARGEST_IN_PRIOR_SCALES * min(
-        scales["cosine_rad_s"] / amplitude, scales["inertia_fraction"] / drawn["inertia_fraction"]
+        scales["cosine_rad_s"] / amplitude, scales["inertia_fraction"] / share
     )
 
     def at(s: float) -> Hidden | None:
         parameters = {
             **known,
             "amplitude_rad_s": s * amplitude,
-            "inertia_fraction": s * drawn["inertia_fraction"],
+            "inertia_fraction": s * share,
         }
         hidden = Hidden(effect.name, parameters, float("nan"))
         try:
