@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +20,7 @@ from closed_loop.scene import Scene, draw_scene, fly_scene, generator
 from closed_loop.sizes import sigma
 from closed_loop.thruster_control import PAIRS
 from closed_loop.valve import Pulses, Valve, merged
-from closed_loop.vehicle import NANO, Slosh, State, Vehicle, WheelDrag
+from closed_loop.vehicle import NANO, Slosh, State, Vehicle, WheelDrag, free_frequency_hz
 
 AT_REST = State((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 SEED = 20270101
@@ -58,6 +58,7 @@ def all_checks() -> Iterator[Check]:
     yield torque_step(body)
     yield from attitude_convention(body)
     yield particle_at_rest(body)
+    yield particle_swings(body)
     yield from shorter_steps(body)
     for controller in ("phase_plane", "pulse_frequency", "pulse_width"):
         flown = draw_scene(SEED, {"controller": controller, "events": ("bias",), "row_every_s": 1})
@@ -269,6 +270,25 @@ def particle_at_rest(body: Body) -> Check:
         "particle on a stiff spring: relative difference of the rate",
         _apart(rates[1], rates[0]),
         1e-4,
+    )
+
+
+def particle_swings(body: Body) -> Check:
+    """A particle let go swings at the frequency of the free spacecraft, by the zeros of a rate."""
+    loose = replace(_PARTICLE, damping=0.0)
+    flown = Vehicle(body, AT_REST, slosh=loose)
+    rate, every_s = [], 0.05
+    for row in range(1, 6_001):
+        flown.advance(round(row * every_s * NANO))
+        rate.append(flown.state().rate[1])
+    own = np.array(rate) - np.mean(rate)
+    after = np.flatnonzero((own[1:] >= 0.0) & (own[:-1] < 0.0))
+    zeros_s = every_s * (after + own[after] / (own[after] - own[after + 1]))
+    found = (len(zeros_s) - 1) / (zeros_s[-1] - zeros_s[0])
+    return Check(
+        "frequency of a particle on the free spacecraft: relative difference",
+        abs(found / free_frequency_hz(body, loose) - 1.0),
+        1e-3,
     )
 
 

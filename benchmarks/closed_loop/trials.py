@@ -57,6 +57,7 @@ class NothingClearError(Exception):
 def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
     """Do one trial, unless it has been done."""
     from closed_loop.scene import draw_scene, write_scene
+    from closed_loop.vehicle import free_frequency_hz
 
     record_file = setting.out / f"{index:05d}.json"
     if record_file.exists():
@@ -88,6 +89,10 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
     record["hidden"] = [
         {"name": e.name, "parameters": dict(e.parameters), "sigma": e.sigma} for e in effects
     ]
+    if flown[2].slosh is not None:
+        # as a diagnosis reports it: the hidden one is that of the spring alone
+        body = flown[1].body(scene.events[0].name)
+        record["free_frequency_hz"] = free_frequency_hz(body, flown[2].slosh)
     record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
     events = [str(folder / "record" / event.name) for event in scene.events]
     inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]

@@ -257,6 +257,18 @@ class Vehicle:
         return np.array(self._hub.totRotAngMomPntC_N).ravel()
 
 
+def free_frequency_hz(body: Body, slosh: Slosh) -> float:
+    """Frequency of a particle on the free spacecraft, which gives: f/√(1 − m/M − m aᵀ J⁻¹ a).
+
+    f is that of its spring alone, M and J are with the particle at rest, and a = p × d with p from
+    the centre of mass.
+    """
+    arm = np.cross(np.subtract(slosh.place_m, body.centre_m), slosh.direction)
+    given = slosh.mass_kg / body.mass_kg
+    given += slosh.mass_kg * float(arm @ np.linalg.solve(body.inertia_kg_m2, arm))
+    return slosh.frequency_hz / math.sqrt(1.0 - given)
+
+
 def without_particle(body: Body, slosh: Slosh) -> tuple[float, Array, Array]:
     """Mass, centre and inertia of the hub that makes up a body with a particle at rest."""
     place = np.array(slosh.place_m)
