@@ -329,7 +329,7 @@ def _sentence(case: Case[H], weighed: Weighed[H], sizes: Mapping[str, Size]) -> 
         key: Stated(size.mean, size.sd, *size.interval, case.kinds.unit(weighed.name, key))
         for key, size in sizes.items()
     }
-    settled = (own.said for own in case.settled(weighed))
+    settled = [own.said for own in case.settled(weighed) if own.said]
     said, begins = ", ".join([case.kinds.says(weighed.name, stated), *settled]), weighed.begins
     if begins is None or (not begins.event and begins.probability > SURE):
         return said

@@ -32,7 +32,11 @@ Values = Mapping[str, Array]
 
 
 class SearchResult(Protocol):
-    """What a search before the fit has settled, such as a frequency."""
+    """What a search before the fit has settled, such as a frequency.
+
+    A class that inherits from it has to have ``log_gain``, ``log_looks`` and ``columns``; the
+    others say nothing by default.
+    """
 
     @property
     def log_gain(self) -> float:
@@ -45,14 +49,17 @@ class SearchResult(Protocol):
     @property
     def prior_scales(self) -> Mapping[str, float]:
         """Factors by key on priors of sizes that it has chosen among several; 1 without."""
+        return {}
 
     @property
     def said(self) -> str:
         """What it has settled that no size says, as words that follow theirs."""
+        return ""
 
     @property
     def record(self) -> Mapping[str, object]:
         """The same by key, for a diagnosis file."""
+        return {}
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """Columns of one event's telemetry that go with it."""
