@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtr, ndtri, softmax
+from scipy.special import log_ndtr, ndtr, ndtri, softmax
 
 from cassini_bayes.computing.arrays import Array
 
@@ -52,7 +52,7 @@ def scales_of_sizes(scales: Array) -> Array:
 
 def over_sizes(log_evidence: Array) -> Array:
     """Log evidence (...) with all scales, by those (K, ...) of each."""
-    return np.asarray(logsumexp(log_evidence, axis=0) - np.log(len(log_evidence)))
+    return np.asarray(np.logaddexp.reduce(log_evidence, axis=0) - np.log(len(log_evidence)))
 
 
 class Posterior(NamedTuple):
