@@ -275,18 +275,19 @@ class Effect:
 
     def scaled(self, width: float) -> Effect:
         """The same effect with all priors of its size wider by a factor."""
-        parameters = tuple(
-            replace(p, distribution=_wider(p.distribution, width)) for p in self.parameters
-        )
-        return replace(self, parameters=parameters)
+        return self._with_wider({p.key: width for p in self.parameters})
 
     def settled_by(self, result: SearchResult) -> Effect:
         """The same effect as a search has settled it, its priors those that go with it."""
+        return replace(self._with_wider(result.prior_scales), search_result=result)
+
+    def _with_wider(self, widths: Mapping[str, float]) -> Effect:
+        """The same effect with some priors of its sizes, by key, wider by a factor each."""
         parameters = tuple(
-            replace(p, distribution=_wider(p.distribution, result.prior_scales.get(p.key, 1.0)))
+            replace(p, distribution=_wider(p.distribution, widths[p.key])) if p.key in widths else p
             for p in self.parameters
         )
-        return replace(self, search_result=result, parameters=parameters)
+        return replace(self, parameters=parameters)
 
     def setting(self, spacecraft: Spacecraft, branch: str) -> Setting:
         """Where it acts."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.effects.line_shapes import Direction, Posterior, over_sizes, posterior
+from cassini_bayes.effects.line_shapes import Direction, Posterior, posterior
 
 BODY_AXES: Final[tuple[Direction, ...]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ALONG_AXES: Final = 0.5  # prior probability of a body axis: judgement
@@ -87,7 +87,7 @@ class AllDirections:
 
     def evidence_about(self, directions: Array) -> Array:
         """Log evidence (m,) about every direction, nats."""
-        return over_sizes(self.posterior_about(directions).log_evidence)
+        return self.posterior_about(directions).of_all_sizes
 
     @cached_property
     def _tried(self) -> Posterior:
@@ -100,7 +100,7 @@ class AllDirections:
 
     @cached_property
     def _evidence_tried(self) -> Array:
-        return over_sizes(self._tried.log_evidence)
+        return self._tried.of_all_sizes
 
     @cached_property
     def _oblique(self) -> tuple[Array, Array, float]:

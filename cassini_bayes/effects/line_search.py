@@ -129,18 +129,16 @@ def find_oscillation(
         return posterior(*products, sizes_about(np.array([along]), inertia_kg_m2, units)[:, 0])
 
     frequency, damping = _at_maximum(
-        lambda f, d: float(over_sizes(posterior_of((f, d, direction)).log_evidence)),
-        frequency,
-        damping,
-        span,
+        lambda f, d: float(posterior_of((f, d, direction)).of_all_sizes), frequency, damping, span
     )
     of_best = of_directions(frequency, damping)
     found = (frequency, damping, of_best.best)
-    by_size = posterior_of(found).log_evidence
-    most, gain = int(by_size.argmax()), float(by_size.max())
+    of_line = posterior_of(found)
+    most = int(of_line.log_evidence.argmax())
+    gain = float(of_line.log_evidence[most])
     # one is taken of all scales, directions and lines: what others have of the evidence is a cost
     log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + gain - of_best.log_evidence
-    of_direction = float(over_sizes(by_size)) - of_best.log_evidence
+    of_direction = float(of_line.of_all_sizes) - of_best.log_evidence
     step = float(np.median([motion.step_s for motion in motions]))
     of_found = shapes_over_dampings(posterior_of, found, span, units).less(of_direction)
     near = {line: of_directions(*line).about_axes for line in finer}

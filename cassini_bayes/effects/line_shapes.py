@@ -65,6 +65,11 @@ class Posterior(NamedTuple):
     mean: Array
     covariance: Array
 
+    @property
+    def of_all_sizes(self) -> Array:
+        """Log evidence (...) with all scales, of those (K, ...) by each."""
+        return over_sizes(self.log_evidence)
+
     @staticmethod
     def stacked(each: Iterable[Posterior]) -> Posterior:
         """Those (K,) of several lines as one (K, C)."""
@@ -166,7 +171,7 @@ def shapes_over_dampings(
     """
 
     def evidence_of(other: Line) -> float:
-        return float(over_sizes(posterior_of(other).log_evidence))
+        return float(posterior_of(other).of_all_sizes)
 
     def peak(middle: float, step: float, damping: float) -> tuple[float, float]:
         shifted = ((middle + s, damping, direction) for s in (-step, 0.0, step))
