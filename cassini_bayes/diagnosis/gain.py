@@ -214,13 +214,19 @@ def carried_over(mode: Mode, old: Hypothesis, new: Hypothesis) -> Mode:
 def held_out_telemetry(
     events: Events, weighed: Weighed[Hypothesis], fits: Sequence[Fits]
 ) -> HeldOut:
-    """Every telemetry event held out in turn, by the results of :func:`fits_to_hold_out`."""
+    """Every telemetry event held out in turn, by the results of :func:`fits_to_hold_out`.
+
+    A search before the fits has seen all events: what it took from one alone is paid for.
+    """
     whole, without = by_all(events, weighed, fits[0]), _by_event(events, fits)
     known: dict[tuple[str, ...], tuple[Linear, list[Array]]] = {}
+    effects = (effect.search_result for effect in weighed.hypothesis.effects)
+    searched = [result for result in effects if result is not None]
     scores, residuals, inside = [], [], []
     for place, event in enumerate(events.telemetry):
         ways = taught(events, weighed, event.id, without[event.id])
-        scores.append(whole - float(logsumexp([way.score for way in ways])))
+        learnt = sum(result.log_start_of(event.samples) for result in searched)
+        scores.append(whole - float(logsumexp([way.score for way in ways])) - learnt)
         predicted = []
         for way in ways:
             begins = tuple(str(effect.onset) for effect in way.whole.effects)

@@ -61,6 +61,10 @@ class SearchResult(Protocol):
         """The same by key, for a diagnosis file."""
         return {}
 
+    def log_start_of(self, _: Samples) -> float:
+        """What it has taken from one event that others do not tell, nats: part of the cost."""
+        return 0.0
+
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """Columns of one event's telemetry that go with it."""
 

@@ -4,9 +4,9 @@ An appendage of moment of inertia φ J about a direction of the body moves at a 
 momentum φ J q is what the balance lacks, q a free oscillation and an answer D to the body's own
 motion (:mod:`cassini_bayes.effects.appendage`), which firings and wheels drive:
 J (c e^(−ζΩt) cos Ωt + s e^(−ζΩt) sin Ωt − φ D), whatever the controllers do. The free oscillation
-is taken to start alike in every event, t from its first row. Frequency, damping and
-direction are those of most evidence in what a model leaves (:mod:`.line_directions`); the fit has
-departures of the first two in first order.
+starts alike in every event, t from its first row, or in each anew (:mod:`.line_starts`). Frequency,
+damping and direction are those of most evidence in what a model leaves (:mod:`.line_directions`);
+the fit has departures of the first two in first order.
 
 Noise of measured rates would drive D as well: errors in variables, by which a share φ of 0.004
 comes out as 0.001 where rates have 2e-5 rad/s (docs/topics/criticism.md §2). So D is of the rates
@@ -70,33 +70,30 @@ def report(values: Values, setting: Setting) -> Values:
     frequency = line.frequency_hz + values["frequency_shift"] / line.span_s
     unit = 2.0 * np.pi * line.frequency_hz * line.span_s
     damping = line.damping + values["damping_shift"] / unit
-    return _of_free_body(line, values, frequency, damping)
+    amplitude = np.hypot(values["cosine_rad_s"], values["sine_rad_s"])
+    return _of_free_body(line, amplitude, values["inertia_fraction"], frequency, damping)
 
 
 def drawn(setting: Setting, rng: np.random.Generator, draws: int) -> Values:
     """Sizes (n,) over all lines (:class:`.Shapes`), as :func:`report` has them."""
     line = _line(setting)
-    if line.shapes is None:
+    if not line.shapes:
         return {}
-    swing, share, frequency, damping = draw_shapes(line.shapes, rng, draws)
-    values = {
-        "cosine_rad_s": swing[:, 0],
-        "sine_rad_s": swing[:, 1],
-        "inertia_fraction": share,
-    }
-    return _of_free_body(line, values, frequency, damping)
+    return _of_free_body(line, *draw_shapes(line.shapes, rng, draws))
 
 
-def _of_free_body(line: Oscillation, values: Values, frequency: Array, damping: Array) -> Values:
+def _of_free_body(
+    line: Oscillation, amplitude: Array, share: Array, frequency: Array, damping: Array
+) -> Values:
     """Sizes by those of the line: see :func:`report`."""
     shown = line.measured * np.sinc(frequency * line.step_s) ** 2
-    fraction = values["inertia_fraction"] / (1.0 + (1.0 - shown) * values["inertia_fraction"])
+    fraction = share / (1.0 + (1.0 - shown) * share)
     free = np.sqrt(1.0 - shown * fraction)
     return {
         "inertia_fraction": fraction,
         "frequency_hz": frequency / free,
         "damping": np.maximum(damping, 0.0) / free,
-        "amplitude_rad_s": np.hypot(values["cosine_rad_s"], values["sine_rad_s"]),
+        "amplitude_rad_s": amplitude,
     }
 
 

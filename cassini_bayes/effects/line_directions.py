@@ -1,13 +1,13 @@
 """About which axis of the body a line swings: the evidence of a direction, and of all of them.
 
 An appendage swings about one direction n of the body, be it a body axis or oblique: what the
-balance lacks lies along n, and only the body's turning about n drives it. Of a line's five columns
-(cosine, sine, and the driven rate about each axis) along each axis, with Gram matrix G (15, 15) and
-Aᵀy (15,), a direction has
+balance lacks lies along n, and only the body's turning about n drives it. Of a line's c = 2 P + 3
+columns (cosines and sines of P free oscillations, and the driven rate about each axis) along each
+axis, with Gram matrix G (3 c, 3 c) and Aᵀy (3 c,), a direction has
 
-    W(n) = n ⊗ C(n),   Wᵀ G W (3, 3),   Wᵀ Aᵀy (3,),
+    W(n) = n ⊗ C(n),   Wᵀ G W (q, q),   Wᵀ Aᵀy (q,),   q = 2 P + 1,
 
-with C(n) (5, 3) what makes cosine, sine and the answer to the turning about n of the five columns,
+with C(n) (c, q) what makes cosines, sines and the answer to the turning about n of the c columns,
 so that one pass over the rows shows all directions. A priori half of the appendages swing about a
 body axis, and the others about any direction of a hemisphere, whose evidence is Laplace's:
 Z(n̂) 2π/√det H over its area 2π, H the curvature (2, 2) of −log Z at the best n̂.
@@ -26,7 +26,6 @@ from cassini_bayes.effects.line_shapes import Direction, Posterior, posterior
 
 BODY_AXES: Final[tuple[Direction, ...]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ALONG_AXES: Final = 0.5  # prior probability of a body axis: judgement
-COLUMNS: Final = 5  # of a line along each axis
 LOOKED_AT: Final = 60
 """Directions of a hemisphere, some 0.3 rad apart: the evidence falls with the square of the cosine
 to the best one, so that the search from the best of these ends there."""
@@ -47,16 +46,20 @@ def hemisphere(count: int) -> Array:
 _TRIED: Final = np.concatenate([np.array(BODY_AXES), hemisphere(LOOKED_AT)])
 
 
-def of_turning(directions: Array) -> Array:
-    """C (m, 5, 3) of directions (m, 3): cosine, sine, and less the driven rate about each."""
-    columns = np.zeros((len(directions), COLUMNS, 3))
-    columns[:, 0, 0] = columns[:, 1, 1] = 1.0
-    columns[:, 2:, 2] = -directions
+def of_turning(directions: Array, swings: int) -> Array:
+    """C (m, 2 P + 3, 2 P + 1) of directions (m, 3) and P free oscillations.
+
+    Cosines and sines as they are, and less the driven rate about each.
+    """
+    free = 2 * swings
+    columns = np.zeros((len(directions), free + 3, free + 1))
+    columns[:, :free, :free] = np.eye(free)
+    columns[:, free:, free] = -directions
     return columns
 
 
 def sizes_about(directions: Array, moments: Array, scales: Array) -> Array:
-    """Momentum (K, m, 3) of K scales (K, 3) of the sizes about directions (m, 3), N m s.
+    """Momentum (K, m, q) of K scales (K, q) of the sizes about directions (m, 3), N m s.
 
     ``moments`` (3,) are the body's about its axes, kg m².
     """
@@ -67,9 +70,9 @@ def sizes_about(directions: Array, moments: Array, scales: Array) -> Array:
 class AllDirections:
     """What rows show of a line of one frequency and damping, along all axes.
 
-    ``gram`` (15, 15) and ``projection`` (15,) are those of its five columns along X, Y and Z, what
-    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (K, 3) those
-    of cosine and sine (rad/s) and of the share of the inertia that are believed in.
+    ``gram`` (3 c, 3 c) and ``projection`` (3 c,) are those of its c columns along X, Y and Z, what
+    the fit takes away taken off. ``moments`` (3,) are the body's, kg m², ``scales`` (K, q) those
+    of cosines and sines (rad/s) and of the share of the inertia that are believed in.
     """
 
     gram: Array
@@ -79,8 +82,9 @@ class AllDirections:
 
     def posterior_about(self, directions: Array) -> Posterior:
         """Posterior (K, m) of the sizes about every direction (m, 3)."""
-        weights = directions[:, :, None, None] * of_turning(directions)[:, None]
-        weights = weights.reshape(len(directions), 3 * COLUMNS, 3)
+        turning = of_turning(directions, self.scales.shape[1] // 2)
+        weights = directions[:, :, None, None] * turning[:, None]
+        weights = weights.reshape(len(directions), len(self.projection), -1)
         gram = np.swapaxes(weights, 1, 2) @ self.gram @ weights
         size = sizes_about(directions, self.moments, self.scales)
         return posterior(gram, self.projection @ weights, size)

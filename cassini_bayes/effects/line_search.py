@@ -8,42 +8,39 @@ maximum. What it is about, its sizes over all lines, is in :mod:`.line_shapes`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from cassini_bayes.balance.linearised import EventRows, Linear
-from cassini_bayes.computing.arrays import Array, Places
-from cassini_bayes.effects.appendage import (
-    KnownMotion,
-    oscillation_series,
-    products_of_turns,
-)
+from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.cached import cached_property
+from cassini_bayes.effects.appendage import KnownMotion
 from cassini_bayes.effects.line_directions import (
     BODY_AXES,
-    COLUMNS,
     AllDirections,
     of_turning,
     sizes_about,
 )
+from cassini_bayes.effects.line_products import LineProducts, ManyLines, many_lines
 from cassini_bayes.effects.line_shapes import (
     DAMPED,
     NONE,
     Dampings,
-    Direction,
     Line,
     Posterior,
     Shapes,
-    over_sizes,
+    even_mixture,
     posterior,
     scales_of_sizes,
     shapes_of_cells,
     shapes_over_dampings,
 )
-from cassini_bayes.effects.oscillation import Oscillation, over_trapezoids
+from cassini_bayes.effects.line_starts import in_common, starts_of, turned, turns
+from cassini_bayes.effects.oscillation import Oscillation
 
 LEAST_CYCLES: Final = 4.0
 """In the longest event: judgement, what is slower is a drift that other causes explain."""
@@ -62,6 +59,79 @@ LARGEST_ROOT: Final = 0.3
 MOST_EVALUATIONS: Final = 60  # for the last digits of frequency and damping
 
 
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines of events whose free oscillations are ``swings`` (P): one in all, or each its own.
+
+    ``moments`` (3,) are the body's, ``scales`` the priors' of a swing and of the share.
+    """
+
+    products: LineProducts
+    swings: int
+    moments: Array
+    scales: tuple[float, float]
+
+    @cached_property
+    def units(self) -> Array:
+        """Scales (K, 2 P + 1) of the sizes."""
+        return scales_of_sizes(self.scales, self.swings)
+
+    @property
+    def one_size(self) -> Array:
+        """Prior scales (3, 3) of cosine, sine and share about X, Y and Z, N m s."""
+        swing, share = self.scales
+        one = np.array([[swing, swing, share]])
+        (size,) = sizes_about(np.array(BODY_AXES), self.moments, one)
+        return np.asarray(size)
+
+    def posterior_of_many(self, many: ManyLines) -> Posterior:
+        """Posterior (K, f, 3) of every frequency about every axis, columns as they are."""
+        size = sizes_about(np.array(BODY_AXES), self.moments, self.units)
+        return posterior(many.gram[0], many.projection[0], size[:, None])
+
+    @cached_property
+    def of_directions(self) -> Callable[[float, float], AllDirections]:
+        """Of a frequency (Hz) and a damping, about all directions."""
+        along = np.kron(np.eye(3), self._columns)
+
+        @cache
+        def found(frequency_hz: float, damping: float) -> AllDirections:
+            gram, projection = self.products.along_axes(frequency_hz, damping)
+            products = along.T @ gram @ along, projection @ along
+            return AllDirections(*products, self.moments, self.units)
+
+        return found
+
+    @cached_property
+    def posterior_of(self) -> Callable[[Line], Posterior]:
+        """Posterior (K,) of the sizes of a line; its last digits and its sizes share lines."""
+
+        @cache
+        def found(line: Line) -> Posterior:
+            return posterior(*self._about(line), self._size(line))
+
+        return found
+
+    def with_turns(self, line: Line, scales: int, turn: Array) -> float:
+        """Log evidence of a line by one of the scales, its starts turned (P,) from one."""
+        weights = turned(turn)
+        gram, projection = self._about(line)
+        scale = self._size(line)[scales][[0, 1, -1]]
+        one = posterior(weights.T @ gram @ weights, projection @ weights, scale)
+        return float(one.log_evidence)
+
+    def _size(self, line: Line) -> Array:
+        return sizes_about(np.array([line[2]]), self.moments, self.units)[:, 0]
+
+    def _about(self, line: Line) -> tuple[Array, Array]:
+        (turning,) = of_turning(np.array([line[2]]), self.swings)
+        return self.products.about(line, self._columns @ turning)
+
+    @property
+    def _columns(self) -> Array:
+        return in_common(self.products.starts.count, self.swings)
+
+
 def find_oscillation(
     rows: Sequence[EventRows],
     motions: Sequence[KnownMotion],
@@ -74,13 +144,14 @@ def find_oscillation(
     All frequencies a line's width apart are tried with two dampings and with what the fit takes
     away left in the columns; the best of them and their neighbours with that taken off, about all
     directions; the best of these with all dampings; the best of all, about its direction, goes on
-    to the maximum.
+    to the maximum. Of several events all that with starts alike and with each its own
+    (:mod:`.line_starts`).
 
     Parameters
     ----------
     rows, motions, linear
         Innovations and known motion of every event, and the linear model that left them; of rows,
-        or of turns over quiet pieces.
+        then of turns over quiet pieces if there are any.
     inertia_kg_m2
         Moments (3,) about body axes.
     scales
@@ -91,23 +162,18 @@ def find_oscillation(
     frequencies = np.arange(LEAST_CYCLES / span, highest, 1.0 / span)
     if len(frequencies) == 0:
         return None
-    believed = np.array([scales[0], *scales])
-    units = scales_of_sizes(believed)
-    size = sizes_about(np.array(BODY_AXES), inertia_kg_m2, units)
-    looks = [_coarse(rows, motions, frequencies, damping, size) for damping in COARSE_DAMPINGS]
-    peaks = _peaks(np.maximum.reduce([_about_any_direction(look) for look in looks]))
-    factor = cho_factor(linear.gram())
-    views = cache(partial(_views, rows, linear))
-
-    @cache
-    def of_directions(frequency_hz: float, damping: float) -> AllDirections:
-        along = [views(axis) for axis in BODY_AXES]
-        shape = frequency_hz, damping
-        products = _products(rows, motions, along, factor, shape, np.eye(COLUMNS))
-        return AllDirections(*products, inertia_kg_m2, units)
+    products = LineProducts(rows, motions, linear, starts_of(rows))
+    alike, *apart = (
+        _Lines(products, swings, inertia_kg_m2, scales)
+        for swings in dict.fromkeys((1, products.starts.count))
+    )
+    ways = (alike, *apart)
+    seen = [many_lines(rows, motions, (frequencies, d), products.starts) for d in COARSE_DAMPINGS]
+    looks = [alike.posterior_of_many(many.of_starts(1)) for many in seen]
+    peaks = _peaks(np.maximum.reduce([_rough_evidence(many, ways) for many in seen]))
 
     def score(line: tuple[float, float]) -> float:
-        return of_directions(*line).rough_evidence
+        return float(even_mixture([way.of_directions(*line).rough_evidence for way in ways]))
 
     finer = [
         (float(frequencies[f] + s / span), damping)
@@ -119,34 +185,49 @@ def find_oscillation(
     best = list(dict.fromkeys(frequency for frequency, _ in ranked))[:PEAKS]
     fits = [(frequency, damping) for frequency in best for damping in DAMPINGS]
     frequency, damping = max(fits, key=score)
-    direction = of_directions(frequency, damping).best
-
-    @cache  # the last digits and the sizes share lines
-    def posterior_of(line: Line) -> Posterior:
-        along = line[2]
-        (columns,) = of_turning(np.array([along]))
-        products = _products(rows, motions, [views(along)], factor, line[:2], columns)
-        return posterior(*products, sizes_about(np.array([along]), inertia_kg_m2, units)[:, 0])
-
+    way = max(ways, key=lambda way: way.of_directions(frequency, damping).log_evidence)
+    direction = way.of_directions(frequency, damping).best
     frequency, damping = _at_maximum(
-        lambda f, d: float(posterior_of((f, d, direction)).of_all_sizes), frequency, damping, span
+        lambda f, d: float(way.posterior_of((f, d, direction)).of_all_sizes),
+        frequency,
+        damping,
+        span,
     )
-    of_best = of_directions(frequency, damping)
+    of_best = way.of_directions(frequency, damping)
     found = (frequency, damping, of_best.best)
-    of_line = posterior_of(found)
+    of_line = way.posterior_of(found)
     most = int(of_line.log_evidence.argmax())
-    gain = float(of_line.log_evidence[most])
-    # one is taken of all scales, directions and lines: what others have of the evidence is a cost
-    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + gain - of_best.log_evidence
+    turn = turns(of_line.mean[most, :-1])
+    gain = way.with_turns(found, most, turn)
+    # one is taken of all starts, scales, directions and lines: what others have is a cost
+    of_all = even_mixture([way.of_directions(frequency, damping).log_evidence for way in ways])
+    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + gain - float(of_all)
+    log_start = (gain - float(of_line.log_evidence[most])) / way.swings
     of_direction = float(of_line.of_all_sizes) - of_best.log_evidence
     step = float(np.median([motion.step_s for motion in motions]))
-    of_found = shapes_over_dampings(posterior_of, found, span, units).less(of_direction)
-    near = {line: of_directions(*line).about_axes for line in finer}
-    others = _other_lines(found, span, near, (frequencies, looks, peaks), units)
-    shapes = Shapes.joined([of_found, *others])
-    sd = 0.0 if of_best.best in BODY_AXES else float(np.degrees(of_best.oblique_sd_rad))
-    swing, _, share = (float(of) for of in units[most] / believed)
-    return Oscillation(*found, sd, log_looks, gain, span, step, swing, share, shapes=shapes)
+    of_found = shapes_over_dampings(way.posterior_of, found, span, way.units).less(of_direction)
+    near = {line: alike.of_directions(*line).about_axes for line in finer}
+    others = _other_lines(found, span, near, (frequencies, looks, peaks), alike.units)
+    swing, share = scales_of_sizes((1.0, 1.0), 1)[most, 1:]
+    return Oscillation(
+        *found,
+        0.0 if of_best.best in BODY_AXES else float(np.degrees(of_best.oblique_sd_rad)),
+        log_looks,
+        gain,
+        span,
+        step,
+        float(swing),
+        float(share),
+        turns=() if way is alike else tuple((float(z.real), float(z.imag)) for z in turn),
+        log_start=log_start,
+        shapes=Shapes.by_width([of_found, *others]),
+    )
+
+
+def _rough_evidence(many: ManyLines, ways: Sequence[_Lines]) -> Array:
+    """Log evidence (f,) of all ways in which events start, about the best direction, roughly."""
+    each = [many.of_starts(way.swings).about_any_direction(way.one_size) for way in ways]
+    return even_mixture(each)
 
 
 def _at_maximum(
@@ -165,21 +246,6 @@ def _at_maximum(
     return frequency_hz + float(result.x[0]) / span_s, float(result.x[1] ** 2)
 
 
-def _about_any_direction(look: Posterior) -> Array:
-    """Log evidence (f,) about the best direction, roughly, by that (K, f, 3) about every axis.
-
-    Whitened amplitudes along the axes, (3, 2) cosines and sines, gain half the square of their
-    largest singular value where the line is oblique.
-    """
-    free = look.covariance[..., :2, :2]
-    factor = np.linalg.cholesky(free)
-    whitened = np.linalg.solve(factor, look.mean[..., :2, None])[..., 0]  # (K, f, 3, 2)
-    largest = np.linalg.eigvalsh(np.swapaxes(whitened, -2, -1) @ whitened)[..., -1]
-    own = 0.5 * np.linalg.slogdet(free)[1]
-    oblique = 0.5 * largest + own.min(axis=-1)
-    return over_sizes(np.maximum(look.log_evidence.max(axis=-1), oblique))
-
-
 def _other_lines(
     found: Line,
     span_s: float,
@@ -193,7 +259,7 @@ def _other_lines(
     frequencies and dampings about the peaks, ``coarse`` the first look: frequencies (f,), the
     posterior (K, f, 3) at every damping, and the places of its peaks. ``scales`` are (K, 3). Beside
     a peak and within two widths of the line found is no other line. Oblique lines are taken to have
-    as much of the evidence as those about body axes.
+    as much of the evidence as those about body axes, and events to start alike in all of them.
     """
     frequencies, looks, peaks = coarse
     spacing = 1.0 / span_s
@@ -226,41 +292,6 @@ def _other_lines(
     return shapes
 
 
-def _coarse(
-    rows: Sequence[EventRows],
-    motions: Sequence[KnownMotion],
-    frequencies: Array,
-    damping: float,
-    size: Array,
-) -> Posterior:
-    """Posterior (K, f, 3) of every frequency about every axis, columns as they are.
-
-    ``size`` (K, 3, 3) has K scales of the sizes about every axis.
-    """
-    gram = np.zeros((len(frequencies), 3, 3, 3))
-    projection = np.zeros((len(frequencies), 3, 3))
-    for event, motion in zip(rows, motions, strict=True):
-        directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
-        lengths = (directions**2).sum(0)
-        left = event.white @ directions
-        if event.turns is not None:
-            squares, along = products_of_turns(
-                event.turns, motion.step_s, frequencies, damping, left
-            )
-            gram[:, :, :2, :2] += lengths[:, None, None] * squares
-            projection[:, :, :2] += np.swapaxes(along, 1, 2)
-            continue
-        squares, along = motion.products(event.time_s, frequencies, damping, left)
-        squares[:, :2, 2:] *= -1.0  # what the balance lacks is less the driven part
-        squares[:, 2:, :2] *= -1.0
-        along[:, 2:] *= -1.0
-        for axis in range(3):
-            places = np.array([0, 1, 2 + axis])
-            gram[:, axis] += lengths[axis] * squares[:, places[:, None], places]
-            projection[:, axis] += along[:, places, axis]
-    return posterior(gram, projection, size[:, None])
-
-
 def _peaks(scores: Array) -> list[int]:
     """Places of the highest scores (f,), no two of them neighbours."""
     peaks: list[int] = []
@@ -270,86 +301,3 @@ def _peaks(scores: Array) -> list[int]:
         if len(peaks) == PEAKS:
             break
     return peaks
-
-
-class _View(NamedTuple):
-    """What one event's rows show along a direction: whitened momentum is weighed with these.
-
-    ``unit`` (3,) is a whitened unit, ``white`` (n,) and ``columns`` (n, k) innovations and those of
-    the linear model's columns that the event has along it, at ``places`` (k,). Of turns all are
-    along the modes of their pieces, where ``weights`` (n,) make noise white.
-    """
-
-    unit: Array
-    white: Array
-    columns: Array
-    places: Places
-    weights: Array | None
-
-    def of(self, series: Array) -> Array:
-        """Series (n, c) as they are seen along the direction."""
-        return series if self.weights is None else self.weights[:, None] * series
-
-
-def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[list[_View]]:
-    """Every event's views of a direction: one, of turns one along each axis that it has part in."""
-    views = []
-    for event, part in zip(rows, linear.columns.parts, strict=True):
-        to_white = np.linalg.inv(event.noise_factor)
-        columns = part.values.reshape(len(event.white), 3, -1)
-        if event.turns is None:
-            unit = to_white @ direction
-            along = np.tensordot(columns, unit, (1, 0))
-            views.append([_View(unit, event.white @ unit, along, part.places, None)])
-            continue
-        own = []
-        for axis in np.flatnonzero(direction).tolist():
-            part_of: Array = np.asarray(direction[axis] * to_white[:, axis])
-            along = np.tensordot(columns, part_of, (1, 0))
-            seen = event.turns.in_modes(np.column_stack([event.white @ part_of, along]))
-            weights = event.turns.weights(axis)
-            own.append(_View(part_of, seen[:, 0], seen[:, 1:], part.places, weights))
-        views.append(own)
-    return views
-
-
-def _products(
-    rows: Sequence[EventRows],
-    motions: Sequence[KnownMotion],
-    views: Sequence[Sequence[Sequence[_View]]],
-    factor: tuple[Array, bool],
-    shape: tuple[float, float],
-    columns: Array,
-) -> tuple[Array, Array]:
-    """Gram (b c, b c) and Aᵀy (b c,) of a line along b directions, less what the fit takes away.
-
-    ``views`` are those of the directions, ``factor`` that of the linear model's Gram, ``shape``
-    the line's frequency (Hz) and damping. ``columns`` (5, c) makes c of its five series.
-    """
-    count, width = len(views), columns.shape[1]
-    gram, projection = np.zeros((count, width, count, width)), np.zeros((count, width))
-    across = np.zeros((len(factor[0]), count, width))
-    for event, motion, *own in zip(rows, motions, *views, strict=True):
-        series = np.column_stack(oscillation_series(event.time_s, motion, *shape))
-        shown = _shown(event, motion, series @ columns, shape[0])
-        each = [(a, view) for a, along in enumerate(own) for view in along]
-        for a, view in each:
-            seen = view.of(shown)
-            squares = seen.T @ seen
-            projection[a] += view.white @ seen
-            across[view.places, a] += view.columns.T @ seen
-            for b, other in each:
-                # noise of turns about one axis is not that about another
-                if view.weights is None or other is view:
-                    gram[a, :, b] += float(view.unit @ other.unit) * squares
-    flat = across.reshape(len(across), -1)
-    whole = gram.reshape(flat.shape[1], -1) - flat.T @ cho_solve(factor, flat)
-    return whole, projection.ravel()
-
-
-def _shown(event: EventRows, motion: KnownMotion, series: Array, frequency_hz: float) -> Array:
-    """Series (n, c) as an event shows them: of turns integrated, along the modes of pieces."""
-    if event.turns is None:
-        return series
-    seen = over_trapezoids(frequency_hz, motion.step_s)
-    return event.turns.in_modes(seen * event.turns.pieces.integrated(series))

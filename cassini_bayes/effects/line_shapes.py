@@ -8,7 +8,9 @@ left, both with what the baseline takes away taken off,
     s ~ N(C S Aᵀy, C),  C = (S G S + 1)⁻¹,  log Z = bᵀ C b / 2 + log det C / 2,  b = S Aᵀy,
 
 in units of S, and the share is not below zero (docs/topics/criticism.md §2). Lines share the
-probability by Z, the prior of their damping, and the frequencies that they stand for.
+probability by Z, the prior of their damping, and the frequencies that they stand for. There is a
+cosine and a sine for every free oscillation: one in all events, or P of them
+(:class:`.line_starts.Starts`); a line has 2 P + 1 sizes.
 
 How large a swing is nobody knows to an order of magnitude: the scales S are one of several
 (:func:`scales_of_sizes`), K of them, all alike a priori.
@@ -21,9 +23,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr, ndtri, softmax
 
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, Places
 
 Direction = tuple[float, float, float]
 """Unit vector in body axes."""
@@ -45,20 +48,27 @@ SPAN_STEP: Final = 0.05
 """Of what the span can tell apart, for the curvature by damping; as slopes of columns have it."""
 
 
-def scales_of_sizes(scales: Array) -> Array:
-    """Scales (K, 3) of cosine, sine and share that are believed in, by the priors' (3,)."""
-    return np.array([(swing, swing, share) for swing in SIZES for share in SIZES]) * scales
+def scales_of_sizes(scales: tuple[float, float], swings: int) -> Array:
+    """Scales (K, 2 P + 1) that are believed in of P free oscillations and of the share.
+
+    ``scales`` are the priors' of a cosine or sine and of the share.
+    """
+    each = [[swing] * 2 * swings + [share] for swing in SIZES for share in SIZES]
+    return np.asarray(np.array(each) * ([scales[0]] * 2 * swings + [scales[1]]))
 
 
-def over_sizes(log_evidence: Array) -> Array:
-    """Log evidence (...) with all scales, by those (K, ...) of each."""
-    return np.asarray(np.logaddexp.reduce(log_evidence, axis=0) - np.log(len(log_evidence)))
+def even_mixture(log_evidence: ArrayLike) -> Array:
+    """Log evidence (...) of alternatives that are alike a priori, by that (K, ...) of each."""
+    each = np.asarray(log_evidence)
+    mixture: Array = np.asarray(np.logaddexp.reduce(each, axis=0) - np.log(len(each)))
+    return mixture
 
 
 class Posterior(NamedTuple):
     """Sizes of one line, or of many (...), in prior scales, and its evidence against none, nats.
 
-    ``mean`` (..., 3) and ``covariance`` (..., 3, 3) are those before the share's bound at zero.
+    ``mean`` (..., q) and ``covariance`` (..., q, q) of q = 2 P + 1 sizes are those before the
+    share's bound at zero.
     """
 
     log_evidence: Array
@@ -68,7 +78,7 @@ class Posterior(NamedTuple):
     @property
     def of_all_sizes(self) -> Array:
         """Log evidence (...) with all scales, of those (K, ...) by each."""
-        return over_sizes(self.log_evidence)
+        return even_mixture(self.log_evidence)
 
     @staticmethod
     def stacked(each: Iterable[Posterior]) -> Posterior:
@@ -81,8 +91,8 @@ class Shapes:
     """Posterior over K lines, each of which stands for others of its damping and frequency.
 
     ``log_weight`` (K,) are logs of their probabilities but for a constant, ``damping`` (K, 2) the
-    bounds of those that they stand for, uniform in the logarithm. ``mean`` (K, 3) and
-    ``covariance`` (K, 3, 3) are those of cosine, sine (rad/s) and share of the inertia before the
+    bounds of those that they stand for, uniform in the logarithm. ``mean`` (K, q) and
+    ``covariance`` (K, q, q) are those of cosines, sines (rad/s) and share of the inertia before the
     share's bound at zero.
     """
 
@@ -98,6 +108,13 @@ class Shapes:
         return replace(self, log_weight=self.log_weight - nats)
 
     @staticmethod
+    def by_width(parts: Sequence[Shapes]) -> tuple[Shapes, ...]:
+        """All lines of several, those of as many sizes joined."""
+        widths = dict.fromkeys(part.mean.shape[1] for part in parts)
+        each = ([part for part in parts if part.mean.shape[1] == width] for width in widths)
+        return tuple(map(Shapes.joined, each))
+
+    @staticmethod
     def joined(parts: Sequence[Shapes]) -> Shapes:
         """All lines of several, without those of a millionth of the most probable one."""
         own = [[getattr(part, field.name) for part in parts] for field in fields(Shapes)]
@@ -107,7 +124,7 @@ class Shapes:
 
 
 def posterior(gram: Array, projection: Array, size: Array) -> Posterior:
-    """Posterior of columns with Gram (..., 3, 3) and Aᵀy (..., 3), prior scales (..., 3).
+    """Posterior of columns with Gram (..., q, q) and Aᵀy (..., q), prior scales (..., q).
 
     The last size, a share of the inertia, is not below zero: the prior's half below it lies above.
     """
@@ -144,7 +161,7 @@ def shapes_of_cells(
 ) -> Shapes:
     """Lines (K C,) that stand for all within ``width_hz`` about C frequencies.
 
-    ``found`` (K, C) are their posteriors by K scales of the sizes, ``scales`` (K, 3).
+    ``found`` (K, C) are their posteriors by K scales of the sizes, ``scales`` (K, q).
     """
     weight = found.log_evidence + damping.log_prior + np.log(width_hz / len(scales))
     covariance = found.covariance * (scales[:, None, :, None] * scales[:, None, None, :])
@@ -153,8 +170,8 @@ def shapes_of_cells(
         np.tile(damping[1:], (weight.size, 1)),
         np.tile(frequency_hz, len(scales)),
         np.full(weight.size, width_hz / np.sqrt(12.0)),
-        (scales[:, None] * found.mean).reshape(-1, 3),
-        covariance.reshape(-1, 3, 3),
+        (scales[:, None] * found.mean).reshape(-1, scales.shape[1]),
+        covariance.reshape(-1, *covariance.shape[-2:]),
     )
 
 
@@ -166,7 +183,7 @@ def shapes_over_dampings(
 ) -> Shapes:
     """A line found at other dampings (:data:`NODES`), for each at five frequencies.
 
-    ``posterior_of`` has those (K,) of a line by K scales of the sizes, ``scales`` (K, 3).
+    ``posterior_of`` has those (K,) of a line by K scales of the sizes, ``scales`` (K, q).
     ``span_s`` is that of the longest event.
     """
 
@@ -204,30 +221,49 @@ def shapes_over_dampings(
 
 
 def draw_shapes(
-    shapes: Shapes, rng: np.random.Generator, draws: int
+    parts: Sequence[Shapes], rng: np.random.Generator, draws: int
 ) -> tuple[Array, Array, Array, Array]:
-    """Draws: cosine and sine (n, 2), rad/s; share, frequency (Hz) and damping, (n,) each."""
-    place = rng.choice(len(shapes.log_weight), draws, p=softmax(shapes.log_weight))
+    """Draws (n,): amplitude (rad/s), share, frequency (Hz) and damping.
+
+    ``parts`` are lines of P free oscillations and of others; of an amplitude the root of its mean
+    square over these.
+    """
+    weights = np.concatenate([part.log_weight for part in parts])
+    of_part = np.repeat(np.arange(len(parts)), [len(part.log_weight) for part in parts])
+    chosen = rng.choice(len(weights), draws, p=softmax(weights))
+    result = np.empty((4, draws))
+    for k, part in enumerate(parts):
+        own = np.flatnonzero(of_part[chosen] == k)
+        place = chosen[own] - int(np.searchsorted(of_part, k))
+        result[:, own] = _drawn(part, place, rng)
+    amplitude, share, frequency, damping = result
+    return amplitude, share, frequency, damping
+
+
+def _drawn(shapes: Shapes, place: Places, rng: np.random.Generator) -> tuple[Array, ...]:
+    """One draw of every line in ``place`` (n,)."""
+    draws = len(place)
     mean, covariance = shapes.mean[place], shapes.covariance[place]
-    sd = np.sqrt(covariance[:, 2, 2])
-    below = ndtr(-mean[:, 2] / sd)
-    share = mean[:, 2] + sd * ndtri(below + (1.0 - below) * rng.uniform(size=draws))
+    sd = np.sqrt(covariance[:, -1, -1])
+    below = ndtr(-mean[:, -1] / sd)
+    share = mean[:, -1] + sd * ndtri(below + (1.0 - below) * rng.uniform(size=draws))
     share = np.maximum(share, 0.0)
-    along = (share - mean[:, 2]) / covariance[:, 2, 2]
-    swing = mean[:, :2] + covariance[:, :2, 2] * along[:, None]
+    along = (share - mean[:, -1]) / covariance[:, -1, -1]
+    swing = mean[:, :-1] + covariance[:, :-1, -1] * along[:, None]
     rest = (
-        shapes.covariance[:, :2, :2]
-        - (shapes.covariance[:, :2, 2:] * shapes.covariance[:, 2:, :2])
-        / shapes.covariance[:, 2:, 2:]
+        shapes.covariance[:, :-1, :-1]
+        - (shapes.covariance[:, :-1, -1:] * shapes.covariance[:, -1:, :-1])
+        / shapes.covariance[:, -1:, -1:]
     )
     factors = np.linalg.cholesky(rest)[place]
-    swing = swing + (factors @ rng.standard_normal((draws, 2, 1)))[..., 0]
+    swing = swing + (factors @ rng.standard_normal((*swing.shape, 1)))[..., 0]
     noise = rng.standard_normal(draws)
     frequency = shapes.frequency_hz[place] + shapes.frequency_sd_hz[place] * noise
     low, high = shapes.damping[place].T
     with np.errstate(divide="ignore", invalid="ignore"):  # no damping stands for itself
         damping = np.where(low > 0.0, low * (high / low) ** rng.uniform(size=draws), 0.0)
-    return swing, share, frequency, damping
+    amplitude = np.sqrt(2.0 * np.mean(swing**2, axis=1))
+    return amplitude, share, frequency, damping
 
 
 def _peak(values: Sequence[float], step: float) -> tuple[float, float]:

@@ -57,6 +57,11 @@ class Oscillation:
     about what the fit had left; ``swing_scale`` and ``share_scale`` are those of the priors' scales
     that have most of the evidence (:data:`.line_shapes.SIZES`). Motion is that of ``balanced``
     rates where an event has them; ``measured`` is the share of rows without.
+
+    Where events have starts of their own, ``turns`` has for each of them, in the order of
+    ``balanced``, the real and imaginary part of what makes its c + i s of the fit's
+    (:func:`.line_starts.turns`), and ``log_start`` what its start cost, nats, of the search; of an
+    event that is not among them nothing is known of how it starts, and it has no free oscillation.
     """
 
     frequency_hz: float
@@ -70,12 +75,19 @@ class Oscillation:
     swing_scale: float = 1.0
     share_scale: float = 1.0
     measured: float = 1.0
+    turns: tuple[tuple[float, float], ...] = ()
+    log_start: float = 0.0
     balanced: tuple[BalancedRates, ...] = field(default=(), compare=False)
-    shapes: Shapes | None = field(default=None, compare=False)
+    shapes: tuple[Shapes, ...] = field(default=(), compare=False)
 
     @property
     def said(self) -> str:
-        """What it swings about: a body axis by its name, or a unit vector in body axes."""
+        """What it swings about, and whether every event has a start of its own."""
+        return f"{self._about}, started anew in every event" if self.turns else self._about
+
+    @property
+    def _about(self) -> str:
+        """A body axis by its name, or a unit vector in body axes."""
         if self.direction in BODY_AXES:
             return f"about {'XYZ'[BODY_AXES.index(self.direction)]}"
         parts = ", ".join(rounded(part, 2) for part in self.direction)
@@ -90,8 +102,24 @@ class Oscillation:
 
     @property
     def record(self) -> Mapping[str, object]:
-        """Direction in body axes and its standard deviation, degrees."""
-        return {"direction": list(self.direction), "direction_sd_deg": self.direction_sd_deg}
+        """Direction in body axes, its standard deviation, degrees, and how events start."""
+        return {
+            "direction": list(self.direction),
+            "direction_sd_deg": self.direction_sd_deg,
+            "starts": "own" if self.turns else "alike",
+        }
+
+    def log_start_of(self, samples: Samples) -> float:
+        """What the start of an event cost of the search, nats: nothing where all are alike."""
+        return self.log_start if self._turn_of(samples) else 0.0
+
+    def _turn_of(self, samples: Samples) -> complex:
+        """What turns the free oscillation of an event from the fit's."""
+        if not self.turns:
+            return 1.0
+        of = _digest(samples.rate_rad_s)
+        known = zip(self.balanced, self.turns, strict=True)
+        return next((complex(*turn) for rates, turn in known if rates.of == of), 0.0)
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """The three series (:func:`oscillation_series`) of an event and their slopes.
@@ -102,13 +130,18 @@ class Oscillation:
         rate = known.get(_digest(samples.rate_rad_s), samples.rate_rad_s)
         motion = known_motion(samples.time_s, rate)
         of_rows = over_trapezoids(self.frequency_hz, motion.step_s)
+        turn = self._turn_of(samples)
         unit_hz = 1.0 / self.span_s
         unit_damping = 1.0 / (2.0 * np.pi * self.frequency_hz * self.span_s)
 
         def series(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             line = self.frequency_hz + by_line * unit_hz, self.damping + by_damping * unit_damping
-            motion_of = oscillation_series(context.time_s, motion, *line)[place]
-            return np.asarray(motion_of if place < len(SERIES) - 1 else motion_of @ self.direction)
+            cosine, sine, driven = oscillation_series(context.time_s, motion, *line)
+            if place == len(SERIES) - 1:
+                return np.asarray(driven @ self.direction)
+            # of (c + i s) r, r the turn, c has Re r cos + Im r sin, and s that of i r
+            own = turn * 1j**place
+            return np.asarray(own.real * cosine + own.imag * sine)
 
         def slope(place: int, by_line: float, by_damping: float, context: RowContext) -> Array:
             ahead = series(place, by_line, by_damping, context)

@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from event_cases import eased
 
+from cassini_bayes.balance.statistics import ExtraColumn, Samples
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Fits, Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
@@ -32,6 +34,7 @@ from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
+from cassini_bayes.effects.effect import SearchResult
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.posterior import build_model, log_posterior
@@ -127,6 +130,39 @@ def sampled(rows: tuple[TotalsEvent, ...]) -> float:
 def plain() -> HeldOut:
     """Scores of the three as they were flown."""
     return scored(three())
+
+
+class SettledByOneEvent(SearchResult):
+    """A search that took 3 nats from the event of some rates alone."""
+
+    log_gain = log_looks = 0.0
+
+    def __init__(self, rate_rad_s: Array) -> None:
+        self.rate_rad_s = rate_rad_s
+
+    def log_start_of(self, samples: Samples) -> float:
+        """Three nats of that event."""
+        return 3.0 if samples.rate_rad_s is self.rate_rad_s else 0.0
+
+    def columns(self, _: Samples) -> tuple[ExtraColumn, ...]:
+        """None."""
+        return ()
+
+
+def test_what_a_search_took_from_an_event_is_paid_for_where_it_is_held_out() -> None:
+    """Its score is less by that; those of the others, and residuals, are as they were."""
+    events = leaking({"bias-1": "z3", "bias-2": "z3", "bias-3": "z3"})
+    leak = events.catalogue.effect("thruster_leak:z3")
+    model = compact(extend(none_hypothesis(events), [leak]))
+    weighed = by_laplace(model, find_mode(model.log_density, model.dimension))
+    fits = one_by_one(events, weighed)
+    settled = SettledByOneEvent(events.telemetry[1].samples.rate_rad_s)
+    effects = (replace(leak, search_result=settled),)
+    charged = replace(model, model=replace(model.model, effects=effects))
+    searched = replace(weighed, hypothesis=charged)
+    plain, paid = (held_out_telemetry(events, w, fits) for w in (weighed, searched))
+    assert plain.log_scores - paid.log_scores == pytest.approx([0.0, 3.0, 0.0])
+    assert paid.rmse == plain.rmse
 
 
 def test_score_of_a_row_is_a_difference_of_evidences() -> None:

@@ -13,18 +13,24 @@ from cassini_bayes.balance.linearised import EventRows, Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.hypotheses import none_hypothesis
-from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.diagnosis.events import prepare
+from cassini_bayes.diagnosis.hypotheses import compact, none_hypothesis
+from cassini_bayes.diagnosis.innovations import innovations, linearise
+from cassini_bayes.diagnosis.modes import find_mode
+from cassini_bayes.effects import line_search
 from cassini_bayes.effects.appendage import known_motion
 from cassini_bayes.effects.effect import Remainder, Setting
 from cassini_bayes.effects.flexible_mode import drawn, search
 from cassini_bayes.effects.line_search import find_oscillation
+from cassini_bayes.effects.line_starts import Starts
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.shift import View, at_truth, held, squared_size
 from cassini_bayes.studies.blind.sizes import hidden_oscillation
+from cassini_bayes.studies.scenario import simulate_file
+from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 
@@ -135,3 +141,48 @@ def test_an_appendage_flown_in_closed_loop_is_what_the_model_says() -> None:
     assert left_by(view, values | {"cosine_rad_s": 4e-6}, line) > without
     free = left_by(view, values | {"inertia_fraction": 0.0}, line)
     assert free > 2.0 * left_by(view, values, line)
+
+
+def test_flights_that_start_anew_are_one_appendage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two biases flown with opposite swings at their start are one line.
+
+    Its starts are told apart, its sizes hold the truth. Control: with one start for all the line
+    found is not the appendage's, or is worth less by 30 nats and more.
+    """
+    names = ("bias-1", "bias-2")
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    campaign = Blind(scenario, ROOT / "priors" / "x", 8, names)
+    document = campaign.document(np.random.default_rng(8))
+    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
+    scene = Scene(campaign, document, 8, PRIORS)
+    truth = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0, "inertia_fraction": 0.002}
+    flights = [
+        simulate_file(
+            scene.file((Hidden("flexible_mode", truth | {"amplitude_rad_s": of}, float("nan")),)),
+            scene.seed,
+            priors=PRIORS,
+        )
+        for of in (2e-6, -2e-6)
+    ]
+    own = [flight.events[place] for place, flight in enumerate(flights)]
+    events = prepare([reduced_simulation(event, PRIORS) for event in own], PRIORS)
+    none = none_hypothesis(events)
+    small = compact(none)
+    mode = find_mode(small.log_density, small.dimension, small.model.starts[0])
+    left = innovations(none, mode.point)
+    priors = {p.key: p.distribution for p in events.catalogue.effect("flexible_mode").parameters}
+    found = search(left, priors)
+    assert found is not None
+    assert found.direction == (0.0, 0.0, 1.0)
+    first, second = (complex(*turn) for turn in found.turns)
+    assert first / second == pytest.approx(-1.0, abs=0.5)
+    setting = Setting(PRIORS.spacecraft, PRIORS.branch, "", found)
+    sizes = drawn(setting, np.random.default_rng(1), 4_000)
+    for key, value in (truth | {"amplitude_rad_s": 2e-6}).items():
+        if key in sizes:
+            low, high = np.quantile(sizes[key], [0.01, 0.99])
+            assert low < value < high, key
+    monkeypatch.setattr(line_search, "starts_of", lambda rows: Starts((0,) * len(rows)))
+    alike = search(left, priors)
+    assert alike is not None
+    assert found.log_gain - found.log_looks > alike.log_gain - alike.log_looks + 30.0

@@ -10,16 +10,17 @@ from line_cases import INERTIA, NOISE, SCALES, TIME, body
 from totals_cases import ROOT
 
 from cassini_bayes.balance.linearised import EventRows, Linear
-from cassini_bayes.balance.part_columns import ColumnsByPart
+from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.sizes import summarised
-from cassini_bayes.effects import line_directions, line_shapes
+from cassini_bayes.effects import line_directions, line_search, line_shapes
 from cassini_bayes.effects.appendage import known_motion, oscillation_series
 from cassini_bayes.effects.effect import Setting
 from cassini_bayes.effects.flexible_mode import drawn
 from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.effects.line_search import find_oscillation
 from cassini_bayes.effects.line_shapes import DAMPED, SIZES, UNDAMPED
+from cassini_bayes.effects.line_starts import Starts
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.reader import read_priors
 
@@ -132,6 +133,75 @@ def test_a_small_swing_pays_less_for_its_size(monkeypatch: pytest.MonkeyPatch) -
     assert small.prior_scales["cosine_rad_s"] == small.swing_scale
     assert plain.swing_scale == 1.0
     assert net(of_one) - np.log(9.0) < net(plain) < net(of_one) + 2.0
+
+
+EVENTS = 5
+
+
+def ringing(phases: Array, sigmas: float, rng: np.random.Generator) -> Oscillation | None:
+    """The search on events that each swing by so many σ, 0.059 Hz about Y, from their phases."""
+    rows, motions, targets, parts = [], [], [], []
+    one = sigmas * NOISE[1, 1] * np.sqrt(2.0 / len(TIME))
+    for place, phase in enumerate(phases.tolist()):
+        shown, left = white(rng)
+        left[:, 1] += one * np.cos(2.0 * np.pi * 0.059 * TIME + phase)
+        own, _ = event(shown, left)
+        constants = np.kron(np.ones((len(TIME), 1)), np.eye(3))
+        rows.append(own)
+        motions.append(known_motion(TIME, shown))
+        targets.append(own.white.reshape(-1))
+        parts.append(PartColumns(np.arange(3 * place, 3 * place + 3), constants))
+    width = 3 * len(phases)
+    columns = ColumnsByPart(tuple(parts), width)
+    linear = Linear(np.concatenate(targets), columns, np.full(width, 1e-6))
+    return find_oscillation(rows, motions, linear, INERTIA, SCALES)
+
+
+def test_events_that_each_start_anew_have_a_line_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five events of 6 σ with phases of their own are one line, each with its phase.
+
+    Control: as if all started alike, the same is worth less by tens of nats. Events that do start
+    alike are found to, and what the choice costs is the log of two at most.
+    """
+    rng = np.random.default_rng(12)
+    phases = 2.0 * np.pi * np.array([0.0, 0.21, 0.43, 0.62, 0.81])
+    own = ringing(phases, 6.0, rng)
+    same = ringing(np.zeros(EVENTS), 6.0, np.random.default_rng(13))
+    assert own is not None
+    assert same is not None
+    assert own.direction == (0.0, 1.0, 0.0)
+    assert own.frequency_hz == pytest.approx(0.059, abs=0.5 / TIME[-1])
+    # c + i s of cos(ωt + p) has the phase −p, the largest event's is 0
+    found = np.array([complex(*turn) for turn in own.turns])
+    off = found * np.exp(1j * phases)
+    assert np.abs(np.angle(off / off.mean())).max() < 3.0 / 6.0
+    assert np.abs(found) == pytest.approx(np.ones(EVENTS), abs=3.0 / 6.0)
+    assert same.turns == ()
+    sizes = drawn_from(own)["amplitude_rad_s"]
+    truth = 6.0 * NOISE[1, 1] * np.sqrt(2.0 / len(TIME)) / INERTIA[1]
+    assert np.quantile(sizes, 0.01) < truth < np.quantile(sizes, 0.99)
+    # of all events' sizes; what dies faster began larger, so that it is known less well
+    assert 0.9 < np.std(sizes) / truth * 6.0 * np.sqrt(EVENTS) < 3.0
+    net = own.log_gain - own.log_looks
+    # every start pays for both its sizes, and one of all is paid for anyway
+    scale = own.swing_scale * SCALES[0] * INERTIA[1] / NOISE[1, 1]
+    known = scale**2 * len(TIME) / 2.0
+    cost = np.log1p(known) - np.log1p(EVENTS * known) / EVENTS
+    assert own.log_start == pytest.approx(cost, abs=0.3)
+    monkeypatch.setattr(line_search, "starts_of", lambda rows: Starts((0,) * len(rows)))
+    of_own = ringing(phases, 6.0, np.random.default_rng(12))
+    of_same = ringing(np.zeros(EVENTS), 6.0, np.random.default_rng(13))
+    assert of_own is not None
+    assert of_same is not None
+    assert net > of_own.log_gain - of_own.log_looks + 30.0
+    paid = of_same.log_gain - of_same.log_looks - (same.log_gain - same.log_looks)
+    assert paid == pytest.approx(np.log(2.0), abs=0.05)
+
+
+def drawn_from(line: Oscillation) -> dict[str, Array]:
+    """Sizes drawn as a diagnosis has them."""
+    rng = np.random.default_rng(1)
+    return {**drawn(Setting(PRIORS.spacecraft, PRIORS.branch, "", line), rng, 4_000)}
 
 
 def test_an_appendage_that_only_the_body_drives_is_found() -> None:
