@@ -32,9 +32,10 @@ Direction = tuple[float, float, float]
 """Unit vector in body axes."""
 Line = tuple[float, float, Direction]
 """Frequency (Hz), damping, and what it swings about."""
-SIZES: Final = (1.0, 0.3, 0.1)
-"""Of the priors' scales, a third each, as the order of magnitude is not known (judgement). With one
-scale a swing that is a tenth of it pays 5 nats more than one that is as large, a share 2."""
+SIZES: Final = (1.0, 0.3, 0.1, 0.03)
+"""Of the priors' scales, as the order of magnitude is not known (judgement): down to swings that
+only hours of rates ten times finer than Cassini's show. With one scale a swing that is a tenth of
+it pays 5 nats more than one that is as large, a share 2; in every event where each starts anew."""
 NODES: Final = (3e-4, 1e-3, 2e-3, 4e-3, 7e-3, 1.2e-2, 2e-2, 4e-2)
 NEAR_BEST: Final = (-2.0, -1.0, 0.0, 1.0, 2.0)  # standard deviations
 """Dampings that sizes are averaged over, and those about the best; frequencies about theirs."""

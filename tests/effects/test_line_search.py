@@ -63,8 +63,8 @@ def test_a_line_is_found_with_axis_and_frequency(
     assert found.frequency_hz == pytest.approx(hertz, abs=1.0 / seconds)
     looks = (np.ceil(0.5 * (seconds - 1)) - 4) * 5  # lines, dampings
     # a body axis is one of three, or of six where no oblique direction has any of the evidence, and
-    # a scale one of nine
-    assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * 9.0 * looks) + 0.1
+    # a pair of scales one of sixteen
+    assert np.log(3.0 * looks) < found.log_looks < np.log(6.0 * len(SIZES) ** 2 * looks) + 0.1
     monkeypatch.setattr(line_directions, "ALONG_AXES", 1.0 - 1e-12)
     monkeypatch.setattr(line_shapes, "SIZES", (1.0,))
     about_axis = found_in(shown, left, time_s)
@@ -132,7 +132,7 @@ def test_a_small_swing_pays_less_for_its_size(monkeypatch: pytest.MonkeyPatch) -
     assert small.swing_scale < 0.5
     assert small.prior_scales["cosine_rad_s"] == small.swing_scale
     assert plain.swing_scale == 1.0
-    assert net(of_one) - np.log(9.0) < net(plain) < net(of_one) + 2.0
+    assert net(of_one) - 2.0 * np.log(len(SIZES)) < net(plain) < net(of_one) + 2.0
 
 
 EVENTS = 5
