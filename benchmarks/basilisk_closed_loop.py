@@ -10,10 +10,10 @@ every trial. The package is met through its command line alone.
 ``--recordings``  the six recordings of ``tests/data/basilisk``, anew
 ``--fly``         one scene, with an effect or without
 ``--trials``      fly and diagnose trials; one JSON file each, those that exist are kept
-``--summary``     what finished trials say
+``--summary``     what finished trials say, and with ``--table`` a row (CSV) of each
 
 Needs Basilisk (``pip install bsk``), which is no dependency of the package: without it this script
-says so and ends, but for ``--summary``.
+says so and ends, but for ``--summary``, which needs scipy (the package's environment has it).
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ def read_options() -> argparse.Namespace:
     what.add_argument("--fly", type=Path, metavar="DIR", help="folder to write")
     what.add_argument("--trials", metavar="A:B", help="numbers of the trials, B not among them")
     what.add_argument("--summary", action="store_true")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="to write with --summary")
     parser.add_argument("--seed", type=int, default=20270214, help="of scenes and trials")
     parser.add_argument("--given", type=json.loads, default={}, help="conditions, as JSON")
     parser.add_argument("--effect", help="to hide with --fly: a name")
@@ -49,14 +50,27 @@ def read_options() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def summarise(out: Path, table: Path | None) -> int:
+    """Print what finished trials say, and write their table; exit status 1 where there are none."""
+    from closed_loop import answers
+
+    records = answers.read(out)
+    if not records:
+        print(f"no trials in {out}: expected numbered JSON files of --trials", file=sys.stderr)
+        return 1
+    print(answers.summary(records))
+    if table is not None:
+        table.write_text(answers.table(records), "utf-8")
+    return 0
+
+
 def main() -> int:
     """Do what was asked for; exit status 1 where a check failed."""
     options = read_options()
+    if options.summary:
+        return summarise(options.out, options.table)
     from closed_loop import trials  # knows Basilisk only once it flies
 
-    if options.summary:
-        print(trials.summary(options.out))
-        return 0
     if importlib.util.find_spec("Basilisk") is None:
         print("Basilisk is not installed (pip install bsk): no flight", file=sys.stderr)
         return 0

@@ -9,11 +9,9 @@ number and the conditions given, on nothing else.
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import subprocess
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -242,45 +240,3 @@ def line(record: Mapping[str, Any]) -> str:
     first = said["causes"][0]
     answer = f"{first['name']} {first['probability']:.2f} in {said['wall_s']:.0f} s"
     return f"{record['index']:5d} {hidden}: {answer}"
-
-
-def verdict(record: Mapping[str, Any]) -> str:
-    """How a trial was answered: right, group, unknown, none, wrong, failed or not flown."""
-    causes = record["diagnosis"]["causes"]
-    if not causes:
-        return "not flown" if "not_flown" in record else "failed"
-    first = causes[0]
-    expected = [hidden["name"] for hidden in record["hidden"]] or ["none"]
-    if record["stratum"] == "uncatalogued":
-        expected = ["unknown"]
-    if first["name"] in expected:
-        return "right"
-    if set(expected) & set(first.get("confounded_with", ())):
-        return "group"
-    return first["name"] if first["name"] in ("none", "unknown") else "wrong"
-
-
-def summary(out: Path) -> str:
-    """Counts of verdicts by stratum and by condition, and the trials that were not right."""
-    records = [json.loads(path.read_text("utf-8")) for path in sorted(out.glob("[0-9]*.json"))]
-    if not records:
-        return f"no trials in {out}"
-    lines = [f"{len(records)} trials, {records[0]['package']}"]
-    for stratum in dict.fromkeys(STRATA):
-        own = [record for record in records if record["stratum"] == stratum]
-        lines.append(f"{stratum}: {_counted(own)}")
-        for key in ("controller", "row_every_s", "counter_every_s", "counter_step_s",
-                    "rate_noise_rad_s", "wheel_step_rpm", "branch"):  # fmt: skip
-            for value in sorted({record["conditions"][key] for record in own}):
-                part = [record for record in own if record["conditions"][key] == value]
-                lines.append(f"  {key} {value}: {_counted(part)}")
-    lines += [line(record) for record in records if verdict(record) not in ("right", "group")]
-    return "\n".join(lines)
-
-
-def _counted(records: Sequence[Mapping[str, Any]]) -> str:
-    counts = Counter(verdict(record) for record in records)
-    texts = [f"{count} {name}" for name, count in counts.most_common()]
-    spent = [record["diagnosis"]["wall_s"] for record in records if "not_flown" not in record]
-    median = sorted(spent)[len(spent) // 2] if spent else math.nan
-    return f"{len(records)}: {', '.join(texts)}; median {median:.0f} s"

@@ -1,0 +1,109 @@
+"""What the benchmark by another simulator says of finished trials: shares, sizes, its table."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+CONDITIONS = {
+    "branch": "B",
+    "controller": "phase_plane",
+    "events": ["bias", "slew"],
+    "row_every_s": 1,
+    "counter_every_s": 10,
+    "counter_step_s": 0.01,
+    "wheel_step_rpm": 0.1,
+    "rate_noise_rad_s": 2e-6,
+}
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The benchmark's module; it needs no Basilisk."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    module = importlib.import_module("closed_loop.answers")
+    for name in [name for name in sys.modules if name.startswith("closed_loop")]:
+        monkeypatch.delitem(sys.modules, name)
+    return module
+
+
+def trial(index: int, hidden: dict[str, float], causes: list[dict[str, Any]]) -> dict[str, Any]:
+    """A finished trial that hides a leak of Z3 with some sizes."""
+    return {
+        "index": index,
+        "package": "cassini_bayes 0.1.0",
+        "stratum": "clear",
+        "conditions": CONDITIONS,
+        "hidden": [{"name": "thruster_leak:z3", "parameters": hidden, "sigma": 7.0}],
+        "diagnosis": {"causes": causes, "p_value": 0.01 * index, "wall_s": 50.0, "exit_status": 2},
+    }
+
+
+def cause(name: str, likes: list[str], **sizes: tuple[float, float]) -> dict[str, Any]:
+    """A cause with 90 % intervals of its sizes."""
+    parameters = {key: {"hdi_90": list(bounds)} for key, bounds in sizes.items()}
+    return {
+        "name": name,
+        "probability": 0.9,
+        "confounded_with": likes,
+        "parameters": parameters,
+    }
+
+
+def trials() -> list[dict[str, Any]]:
+    """One right, one like the first, one none, one refused."""
+    leak = cause("thruster_leak:z3", [], leak_n=(0.8, 1.2))
+    return [
+        trial(1, {"leak_n": 1.0}, [leak]),
+        trial(3, {"leak_n": 2.0}, [cause("external_torque", ["thruster_leak:z3"]), leak]),
+        trial(5, {"leak_n": 3.0}, [cause("none", [])]),
+        trial(7, {"leak_n": 4.0}, []),
+    ]
+
+
+def test_shares_and_sizes_are_counted(answers: ModuleType) -> None:
+    """Of four trials one is right and one like the first; of two sizes one is held.
+
+    0.006 … 0.806 is the exact interval of one of four: (1 − p)⁴ and the like are 0.025 at its ends.
+    """
+    said = answers.summary(trials())
+    assert "clear: 4: 1 right, 1 group, 1 none, 1 failed" in said
+    assert "right: 1 of 4 (0.250; 0.006 … 0.806, 95 %)" in said
+    assert "right, or listed as confounded with the first: 2 of 4" in said
+    assert "p-values below 0.05: 2 of 4" in said
+    assert "90 % HDIs of sizes that hold the truth: 1 of 2" in said
+    assert "by kind: thruster_leak 2 of 4" in said
+    assert "3 leak_n: 2 is not in 0.8 … 1.2 (90 % HDI)" in said
+
+
+def test_a_frequency_is_that_of_the_free_spacecraft(answers: ModuleType) -> None:
+    """Where a record lacks it, it does not count: the spring alone swings slower."""
+    found = cause("flexible_mode", [], frequency_hz=(0.101, 0.103))
+    record = trial(1, {"frequency_hz": 0.1}, [found])
+    record["hidden"][0]["name"] = "flexible_mode"
+    assert list(answers.sizes(record)) == []
+    record["free_frequency_hz"] = 0.102
+    assert list(answers.sizes(record)) == [("frequency_hz", 0.102, (0.101, 0.103))]
+
+
+def test_the_table_has_a_row_of_each(answers: ModuleType) -> None:
+    """Conditions, what is hidden, what is first and how likely, of a refused one as well."""
+    rows = list(csv.DictReader(io.StringIO(answers.table(trials()))))
+    assert [row["first"] for row in rows] == [
+        "thruster_leak:z3",
+        "external_torque",
+        "none",
+        "failed",
+    ]
+    assert [row["named"] + row["confounded"] for row in rows] == ["10", "01", "00", "00"]
+    assert rows[0]["events"] == "bias slew"
+    assert rows[0]["sigma"] == "7.0"
+    assert rows[3]["probability"] == "nan"
