@@ -124,14 +124,16 @@ def _flexible_mode(plan: Plan, _: str, values: Values) -> Plan:
     index, fraction = int(values["axis"]), values["inertia_fraction"]
     # what is given is the free spacecraft's mode; an appendage has the modes of a clamped one
     clamped = math.sqrt(1.0 - fraction)
+    rate = values["amplitude_rad_s"] / fraction  # momentum is shared: I ω = −J_a θ̇ about the axis
+    phase, omega = values.get("phase_rad", 0.0), 2.0 * math.pi * values["frequency_hz"]
     mode = Appendage(
         name="flexible_mode",
         axis=_set((0.0, 0.0, 0.0), index, 1.0),
         inertia_kg_m2=fraction * plan.parameters[f"inertia_{ELEMENTS[index]}_kg_m2"],
         frequency_hz=values["frequency_hz"] * clamped,
         damping=values["damping"] * clamped,
-        # momentum is shared: I ω = −J_a θ̇ about the axis
-        initial_rate_rad_s=values["amplitude_rad_s"] / fraction,
+        initial_angle_rad=rate / omega * math.sin(phase),
+        initial_rate_rad_s=rate * math.cos(phase),
     )
     return replace(plan, appendages=(*plan.appendages, mode))
 
@@ -191,7 +193,12 @@ _ALL: Final = (
     Effect("time_offset", ("time_offset_s",), None, _time_offset),
     Effect("rate_bias", ("rate_bias_{target}_rad_s",), "axis", _parameters),
     Effect("rate_scale", ("rate_scale",), "axis", _rate_scale),
-    Effect("flexible_mode", _MODE, None, _flexible_mode, optional=_USUAL_MODE),
+    Effect(
+        "flexible_mode",
+        *(_MODE, None, _flexible_mode),
+        optional=_USUAL_MODE,
+        further=("phase_rad",),
+    ),
     Effect("firing_logic", (), None, _firing_logic, optional=_USUAL_LOGIC),
     Effect("atmospheric_torque", _TORQUE_PULSE, None, _atmospheric_torque, catalogued=False),
     Effect("pressure_surge", _SURGE, None, _pressure_surge, catalogued=False),

@@ -193,11 +193,13 @@ def _start_state(plan: Plan, body: kernel.Body, rng: Generator) -> Array:
     error, rate = held * error, held * rate
     if plan.event.hybrid is not None:
         rate[free_axis(plan.event.hybrid.controller)] += plan.event.hybrid.spin_rad_s
-    eta_dot = floats([math.sqrt(a.inertia_kg_m2) * a.initial_rate_rad_s for a in plan.appendages])
+    scales = floats([math.sqrt(mode.inertia_kg_m2) for mode in plan.appendages])
+    eta = scales * floats([mode.initial_angle_rad for mode in plan.appendages])
+    eta_dot = scales * floats([mode.initial_rate_rad_s for mode in plan.appendages])
     rate = rate - np.linalg.solve(body.inertia_kg_m2, body.couplings @ eta_dot)
     attitude = turned(unit(plan.event.attitude), error)
     wheels = np.array(plan.event.from_rpm) / RPM_PER_RAD_S
-    return np.concatenate([attitude, rate, wheels, np.zeros(len(eta_dot)), eta_dot])
+    return np.concatenate([attitude, rate, wheels, eta, eta_dot])
 
 
 def _torque_noise(plan: Plan, n_cycles: int, cycle_s: float, rng: Generator) -> Array:

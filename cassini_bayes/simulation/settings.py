@@ -109,6 +109,7 @@ class Appendage(Table):
     inertia_kg_m2: Positive
     frequency_hz: Positive
     damping: NotNegative
+    initial_angle_rad: Number = 0.0
     initial_rate_rad_s: Number = 0.0
 
 

@@ -28,7 +28,7 @@ from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.shift import View, at_truth, held, squared_size
-from cassini_bayes.studies.blind.sizes import hidden_oscillation
+from cassini_bayes.studies.blind.sizes import hidden_line, hidden_oscillation
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
@@ -141,6 +141,28 @@ def test_an_appendage_flown_in_closed_loop_is_what_the_model_says() -> None:
     assert left_by(view, values | {"cosine_rad_s": 4e-6}, line) > without
     free = left_by(view, values | {"inertia_fraction": 0.0}, line)
     assert free > 2.0 * left_by(view, values, line)
+
+
+def test_a_hidden_line_has_the_phases_in_which_events_start() -> None:
+    """Two biases, the second 2 rad further: its line leaves a quarter or less of what is hidden.
+
+    Control: the same line with both events alike leaves most of it.
+    """
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    campaign = Blind(scenario, ROOT / "priors" / "x", 7, ("bias-1", "bias-2"))
+    document = campaign.document(np.random.default_rng(7))
+    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
+    scene = Scene(campaign, document, 7, PRIORS)
+    values = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0, "phase_step_rad": 2.0}
+    values |= {"amplitude_rad_s": 4e-6, "inertia_fraction": 0.004}
+    hidden = Hidden("flexible_mode", values, float("nan"))
+    assert [own["events"] for own in hidden.effects(scene.event_ids)] == [["bias-1"], ["bias-2"]]
+    view = at_truth(scene.fly_quietly((hidden,)), scene.truth())
+    line, sizes = hidden_line(scene, view.events, hidden), hidden_oscillation(values)[1]
+    without = float(np.sqrt(squared_size(view.linear, view.left)))
+    assert without > 20.0
+    assert left_by(view, sizes, line) < without / 4.0
+    assert left_by(view, sizes, replace(line, turns=())) > 0.7 * without
 
 
 def test_flights_that_start_anew_are_one_appendage(monkeypatch: pytest.MonkeyPatch) -> None:

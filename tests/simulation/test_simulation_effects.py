@@ -173,8 +173,9 @@ def test_a_leak_may_begin_later() -> None:
     assert dict(effect.values) == {"leak_n": 0.01}
 
 
-def test_a_flexible_mode_shows_its_frequency_and_amplitude() -> None:
-    """Rates of a quiet body oscillate at the given frequency, amplitude and damping."""
+@pytest.mark.parametrize("phase", [0.0, 0.7, 4.0])
+def test_a_flexible_mode_shows_its_frequency_amplitude_and_phase(phase: float) -> None:
+    """Rates of a quiet body oscillate at the given frequency, amplitude, damping and phase."""
     event = {
         "id": "quiet",
         "kind": "delta_v",
@@ -184,10 +185,11 @@ def test_a_flexible_mode_shows_its_frequency_and_amplitude() -> None:
     }
     diagonal = {f"inertia_{element}_kg_m2": 0.0 for element in ("xy", "xz", "yz")}
     plan = make_plan(event, parameters=diagonal, start=StartSettings(attitude_spread=0.0))
-    values = {"frequency_hz": 0.13, "damping": 0.005, "amplitude_rad_s": 2e-5}
+    values = {"frequency_hz": 0.13, "damping": 0.005, "amplitude_rad_s": 2e-5, "phase_rad": phase}
     motion = run(chosen("flexible_mode", values, plan))
     omega = 2.0 * np.pi * 0.13
-    expected = -2e-5 * np.exp(-0.005 * omega * motion.time_s) * np.cos(omega * motion.time_s)
+    decay = np.exp(-0.005 * omega * motion.time_s)
+    expected = -2e-5 * decay * np.cos(omega * motion.time_s + phase)
     np.testing.assert_allclose(motion.rate_rad_s[:, 2], expected, atol=4e-7)
 
 

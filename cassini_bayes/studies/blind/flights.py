@@ -31,6 +31,7 @@ from cassini_bayes.studies.scenario import (
 )
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
+PHASE_STEP: Final = "phase_step_rad"
 CHANNEL_NOISE: Final = ("rate_noise_rad_s", "wheel_noise_rpm", "attitude_noise_rad")
 FINEST_STEPS: Final = MappingProxyType(
     {"wheel_resolution_rpm": 0.0, "rate_resolution_rad_s": 0.0, "on_time_resolution_s": 0.001}
@@ -40,11 +41,30 @@ FINEST_STEPS: Final = MappingProxyType(
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect to hide: name as the simulation spells it, its parameters, its size in σ."""
+    """An effect to hide: name as the simulation spells it, its parameters, its size in σ.
+
+    An oscillation with a ``phase_step_rad`` starts every event so much further in its phase than
+    the one before.
+    """
 
     name: str
     parameters: dict[str, float]
     sigma: float
+
+    def phases_rad(self, events: Sequence[str]) -> dict[str, float]:
+        """Phase at the start of every event by its id; the events are in order of flight."""
+        step = self.parameters.get(PHASE_STEP, 0.0)
+        return {event: (place * step) % (2.0 * np.pi) for place, event in enumerate(events)}
+
+    def effects(self, events: Sequence[str]) -> list[dict[str, Any]]:
+        """As a scenario has it: one effect, or one for every event, whose ids are in order."""
+        if PHASE_STEP not in self.parameters:
+            return [{"name": self.name, "parameters": self.parameters}]
+        known = {key: value for key, value in self.parameters.items() if key != PHASE_STEP}
+        return [
+            {"name": self.name, "parameters": {**known, "phase_rad": phase}, "events": [event]}
+            for event, phase in self.phases_rad(events).items()
+        ]
 
 
 @dataclass(frozen=True)
@@ -123,9 +143,14 @@ class Scene:
 
     def file(self, hidden: Sequence[Hidden]) -> ScenarioFile:
         """The scenario with effects."""
-        effects = [{"name": h.name, "parameters": h.parameters} for h in hidden]
+        effects = [effect for own in hidden for effect in own.effects(self.event_ids)]
         where = self.campaign.scenario
         return scenario_of({**self.document, "effect": effects}, where.parent, str(where))
+
+    @property
+    def event_ids(self) -> list[str]:
+        """Ids of all events in order of flight."""
+        return [event["id"] for event in self.document["event"]]
 
     def truth(self) -> Truth:
         """All parameters and thrusts without any effect."""

@@ -24,7 +24,7 @@ from cassini_bayes.effects.line_shapes import SIZES
 from cassini_bayes.effects.oscillation import FASTEST, BalancedRates, Oscillation
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth
-from cassini_bayes.studies.blind.flights import Hidden, Scene
+from cassini_bayes.studies.blind.flights import PHASE_STEP, Hidden, Scene
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS
 from cassini_bayes.studies.blind.shift import (
     View,
@@ -46,6 +46,7 @@ BESIDE_NONE: Final = 4.0 * SHIFT  # prior scales: SHIFT to either side is on one
 SEEN_AT: Final[Mapping[str, float]] = {"time_offset": 0.3}
 """Prior scales at which a kind is first seen: pulses that a record has just hidden have given
 nothing, so that beside none it has no curvature."""
+STARTS_ANEW: Final = 0.5  # of oscillations, as a diagnosis believes
 MOST_FLIGHTS: Final = 6
 MOST_DRAWS: Final = 50
 SAME_SIZE: Final = 0.05
@@ -297,16 +298,25 @@ def _next(pairs: list[tuple[float, float]], sigma: float, largest: float) -> flo
     return min(s * float(np.clip(sigma / value, 0.25, 4.0)), largest)
 
 
-def moved_by(line: Oscillation, scene: Scene, events: Events, hidden: Hidden) -> Oscillation:
-    """A hidden line with the true motion of its flight, which no noise of rates drives."""
-    quiet = scene.fly_quietly((hidden,))
-    pairs = zip(events.telemetry, quiet.telemetry, strict=True)
-    true = [
-        BalancedRates.instead(seen.samples.rate_rad_s, own.samples.rate_rad_s, 1.0)
-        for seen, own in pairs
-        if seen.samples.rate_rad_s.shape == own.samples.rate_rad_s.shape
+def hidden_line(scene: Scene, events: Events, hidden: Hidden) -> Oscillation:
+    """The line of a hidden oscillation in the events of a flight that has it, their starts known.
+
+    Over conditions it has the true motion of its flight, which no noise of rates drives.
+    """
+    seen = true = [event.samples.rate_rad_s for event in events.telemetry]
+    if scene.condition is not None:
+        quiet = scene.fly_quietly((hidden,)).telemetry
+        true = [own.samples.rate_rad_s for own in quiet]
+    balanced = [
+        BalancedRates.instead(rates, own if own.shape == rates.shape else rates, 1.0)
+        for rates, own in zip(seen, true, strict=True)
     ]
-    return replace(line, balanced=tuple(true))
+    line = replace(hidden_oscillation(hidden.parameters)[0], balanced=tuple(balanced))
+    if PHASE_STEP not in hidden.parameters:
+        return line
+    phases = hidden.phases_rad(scene.event_ids)
+    turns = [np.exp(-1j * phases[event.id]) for event in events.telemetry]
+    return replace(line, turns=tuple((float(z.real), float(z.imag)) for z in turns))
 
 
 def hidden_oscillation(values: Mapping[str, float]) -> tuple[Oscillation, dict[str, float]]:
@@ -338,8 +348,9 @@ def _flexible(
 ) -> Hidden | None:
     """An oscillation between 10 and 316 mHz (log-uniform), size σ and its span given or by prior.
 
-    It is no faster than rows show. Amplitude and moving inertia grow together: however little it
-    swings at first, an appendage is driven by whatever moves the body.
+    It is no faster than rows show. Half of them start every event anew. Amplitude and moving
+    inertia grow together: however little it swings at first, an appendage is driven by whatever
+    moves the body.
     """
     samples = [event.samples for event in stage.events.telemetry]
     fastest = FASTEST / max(float(np.median(np.diff(s.time_s[s.has_state]))) for s in samples)
@@ -348,6 +359,8 @@ def _flexible(
         "damping": float(rng.choice([0.0, 0.001, 0.003])),
         "axis": float(rng.integers(3)),
     }
+    if rng.random() < STARTS_ANEW:
+        known[PHASE_STEP] = float(rng.uniform(0.0, 2.0 * np.pi))
     drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
     swing, moved = rng.choice(SIZES, 2)
     amplitude = float(swing * np.hypot(drawn["cosine_rad_s"], drawn["sine_rad_s"]))
@@ -387,14 +400,14 @@ def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> 
 
 def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
     """σ of an oscillation on the flight that has it, its line known."""
-    line, values = hidden_oscillation(hidden.parameters)
+    _, values = hidden_oscillation(hidden.parameters)
     if stage.scene.condition is not None:
         events = stage.scene.fly((hidden,))
-        settled = replace(effect, search_result=moved_by(line, stage.scene, events, hidden))
+        settled = replace(effect, search_result=hidden_line(stage.scene, events, hidden))
         events = events.with_columns_of([settled])
         return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
-    settled = replace(effect, search_result=line)
     view = stage.view(hidden)
+    settled = replace(effect, search_result=hidden_line(stage.scene, view.events, hidden))
     events = view.events.with_columns_of([settled])
     with_line = replace(view, events=events, none=none_hypothesis(events))
     return modelled_size(with_line, settled, values)

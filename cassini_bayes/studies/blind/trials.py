@@ -36,8 +36,7 @@ from cassini_bayes.studies.blind.sizes import (
     MOST_DRAWS,
     Stage,
     draw_path,
-    hidden_oscillation,
-    moved_by,
+    hidden_line,
     sensitivity,
     sized_between,
     sized_from_prior,
@@ -175,8 +174,7 @@ def _oracle(
     )
     over_conditions = scene.condition is not None
     if effect.kind.search is not None:
-        line = hidden_oscillation(values)[0]
-        line = moved_by(line, scene, events, hidden[0]) if over_conditions else line
+        line = hidden_line(scene, events, hidden[0])
     size = sizes_of(effect, values, scene.truth().parameters)
     make = likelihood_classifier if over_conditions else classifier
     settled = make(events, verdict.none.mode, values, line)
