@@ -181,10 +181,7 @@ def find_oscillation(
         for damping in COARSE_DAMPINGS
         for s in FINER
     ]
-    ranked = sorted(finer, key=score)[::-1]
-    best = list(dict.fromkeys(frequency for frequency, _ in ranked))[:PEAKS]
-    fits = [(frequency, damping) for frequency in best for damping in DAMPINGS]
-    frequency, damping = max(fits, key=score)
+    frequency, damping = _best(finer, score)
     way = max(ways, key=lambda way: way.of_directions(frequency, damping).log_evidence)
     direction = way.of_directions(frequency, damping).best
     frequency, damping = _at_maximum(
@@ -193,35 +190,61 @@ def find_oscillation(
         damping,
         span,
     )
-    of_best = way.of_directions(frequency, damping)
-    found = (frequency, damping, of_best.best)
-    of_line = way.posterior_of(found)
+    found = (frequency, damping, way.of_directions(frequency, damping).best)
+    near = {line: alike.of_directions(*line).about_axes for line in finer}
+    others = _other_lines(found, span, near, (frequencies, looks, peaks), alike.units)
+    # one is taken of all starts, scales, directions and lines: what others have is a cost
+    of_all = even_mixture([way.of_directions(frequency, damping).log_evidence for way in ways])
+    cost = float(np.log(len(frequencies) * len(DAMPINGS))) - float(of_all)
+    step = float(np.median([motion.step_s for motion in motions]))
+    return _oscillation(way, found, cost, (span, step), others)
+
+
+def _oscillation(
+    way: _Lines,
+    found: Line,
+    cost: float,
+    lengths_s: tuple[float, float],
+    others: Sequence[Shapes],
+) -> Oscillation:
+    """The line found, as a fit has it: its scales and starts taken, and sizes over all lines.
+
+    ``cost`` is what the search cost, nats, less the evidence of all that is taken, ``lengths_s``
+    the span of the longest event and the step between rates; ``others`` are all other lines.
+    """
+    span, step = lengths_s
+    of_all, of_line = way.of_directions(*found[:2]), way.posterior_of(found)
     most = int(of_line.log_evidence.argmax())
     turn = turns(of_line.mean[most, :-1])
     gain = way.with_turns(found, most, turn)
-    # one is taken of all starts, scales, directions and lines: what others have is a cost
-    of_all = even_mixture([way.of_directions(frequency, damping).log_evidence for way in ways])
-    log_looks = float(np.log(len(frequencies) * len(DAMPINGS))) + gain - float(of_all)
-    log_start = (gain - float(of_line.log_evidence[most])) / way.swings
-    of_direction = float(of_line.of_all_sizes) - of_best.log_evidence
-    step = float(np.median([motion.step_s for motion in motions]))
+    of_direction = float(of_line.of_all_sizes) - of_all.log_evidence
     of_found = shapes_over_dampings(way.posterior_of, found, span, way.units).less(of_direction)
-    near = {line: alike.of_directions(*line).about_axes for line in finer}
-    others = _other_lines(found, span, near, (frequencies, looks, peaks), alike.units)
     swing, share = scales_of_sizes((1.0, 1.0), 1)[most, 1:]
     return Oscillation(
         *found,
-        0.0 if of_best.best in BODY_AXES else float(np.degrees(of_best.oblique_sd_rad)),
-        log_looks,
+        0.0 if found[2] in BODY_AXES else float(np.degrees(of_all.oblique_sd_rad)),
+        gain + cost,
         gain,
         span,
         step,
         float(swing),
         float(share),
-        turns=() if way is alike else tuple((float(z.real), float(z.imag)) for z in turn),
-        log_start=log_start,
+        turns=tuple((float(z.real), float(z.imag)) for z in turn) if way.swings > 1 else (),
+        log_start=(gain - float(of_line.log_evidence[most])) / way.swings,
         shapes=Shapes.by_width([of_found, *others]),
     )
+
+
+def _best(
+    lines: Sequence[tuple[float, float]], score: Callable[[tuple[float, float]], float]
+) -> tuple[float, float]:
+    """Frequency and damping of the highest score, of the best lines' frequencies at all dampings.
+
+    Of as many lines as there are peaks: a damping not yet looked at may put another one first.
+    """
+    ranked = sorted(lines, key=score)[::-1]
+    frequencies = list(dict.fromkeys(frequency for frequency, _ in ranked))[:PEAKS]
+    return max(((f, damping) for f in frequencies for damping in DAMPINGS), key=score)
 
 
 def _rough_evidence(many: ManyLines, ways: Sequence[_Lines]) -> Array:
