@@ -30,6 +30,34 @@ def test_what_commands_are_made_of_is_told_by_all_thrusters() -> None:
     assert all(one.variance_s2 > 0.0 for one in both.rounding)
 
 
+@pytest.mark.parametrize("phase_s", [0.029, 0.096])
+def test_readings_that_cut_pulses_of_whole_cycles_are_known(phase_s: float) -> None:
+    """Rows out of step with control cycles: where they cut a pulse it has lasted for the same time.
+
+    Counters in steps of 10 ms are then known to 2 ms everywhere. Control: pulses of any width, cut
+    or not, are rounded; so are those of two widths, most of which are no whole cycles, and those of
+    whole cycles among which some are of half a one, after which readings stay as they are.
+    """
+    rng = np.random.default_rng(5)
+    cycles = np.cumsum(rng.integers(1, 5, (80, 2)), axis=0)
+    cut = phase_s * (rng.random((80, 2)) < 0.3)
+    true = np.concatenate([np.zeros((1, 2)), 0.125 * cycles + cut])
+    pulses = np.concatenate([np.zeros((1, 2)), np.arange(1.0, 81.0)[:, None] * np.ones(2)])
+    found = expected_on_times(np.round(true, 2), pulses, 0.01, 0.125)
+    assert found.rounding == (KNOWN, KNOWN)
+    assert np.abs(found.on_time_s - true).max() < 2e-3
+    widths = np.concatenate([np.zeros((1, 2)), np.cumsum(rng.uniform(0.03, 0.3, (80, 2)), axis=0)])
+    often = np.concatenate(
+        [np.zeros((1, 2)), 0.125 * cycles + phase_s * (rng.random((80, 2)) < 0.8)]
+    )
+    halves = 0.125 * cycles + 0.0625 * np.cumsum(rng.random((80, 2)) < 0.1, axis=0)
+    halves = np.concatenate([np.zeros((1, 2)), halves])
+    halves[:, 1] = np.repeat(halves[::2, 1], 2)[:81]  # while the other one fires
+    for other in (widths, often, halves):
+        open_ = expected_on_times(np.round(other, 2), pulses, 0.01, 0.125)
+        assert all(one.variance_s2 > 0.0 for one in open_.rounding)
+
+
 def test_a_step_is_told_from_the_readings() -> None:
     """Multiples of 10 ms, of a cycle, of nothing; few values tell nothing."""
     rng = np.random.default_rng(4)

@@ -11,6 +11,7 @@ from cassini_bayes.computing.arrays import Array, Places
 LEAST_VALUES: Final = 5  # different readings that show a step
 LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
+MOST_WHOLE: Final = 0.5  # of readings, that cut no pulse: a controller with two widths has fewer
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
 
@@ -84,14 +85,46 @@ def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
 
 def are_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool:
     """Whether readings (m, K) of some thruster say :func:`is_quantised`, and of none that not."""
+    phase_s = cut_phase(on_time_s, step_s, quantum_s)
     each = zip(on_time_s.T, pulses.T, strict=True)
-    said = {is_quantised(*own, step_s, quantum_s) for own in each}
+    said = {is_quantised(*own, step_s, quantum_s, phase_s) for own in each}
     return True in said and False not in said
 
 
-def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> bool | None:
+def cut_phase(on_time_s: Array, step_s: float, quantum_s: float) -> float:
+    """How far into a cycle readings (m, K) cut the pulses that they cut, s; 0 of none.
+
+    Rows that come some time after a control cycle has begun find pulses being fired at that time of
+    their cycle: all of them, where rows are whole cycles apart.
+    """
+    if quantum_s <= 0.0:
+        return 0.0
+    gained = on_time_s - on_time_s[0]
+    cut = np.unique(gained[_off(gained, quantum_s) > step_s + _SLACK])
+    if len(cut) == 0:
+        return 0.0
+    turns = np.exp(2j * np.pi * cut / quantum_s)
+    return float(np.angle(turns.mean()) * quantum_s / (2.0 * np.pi) % quantum_s)
+
+
+def whole_cycles(gained_s: Array, quantum_s: float, phase_s: float) -> Array:
+    """On-times (...) of whole cycles, or such to which what a reading has cut is added, s."""
+    whole = quantum_s * np.round(gained_s / quantum_s)
+    cut = phase_s + quantum_s * np.round((gained_s - phase_s) / quantum_s)
+    return np.where(np.abs(gained_s - cut) < np.abs(gained_s - whole), cut, whole)
+
+
+def _off(gained_s: Array, quantum_s: float) -> Array:
+    return np.asarray(np.abs(gained_s - quantum_s * np.round(gained_s / quantum_s)))
+
+
+def is_quantised(
+    on_time_s: Array, pulses: Array, step_s: float, quantum_s: float, phase_s: float = 0.0
+) -> bool | None:
     """Whether every reading (m,) is within its rounding of a multiple of the quantum.
 
+    Or it is that much after one as readings cut pulses (:func:`cut_phase`), which most do not; by
+    the next one such a pulse has gone on.
     None where a thruster fired too rarely to decide. The quantum is a property of the controller,
     so that one thruster is enough to decide for all.
 
@@ -110,9 +143,13 @@ def is_quantised(on_time_s: Array, pulses: Array, step_s: float, quantum_s: floa
         fired = firings(np.diff(on_time_s), np.diff(pulses), np.inf)
         full = np.all(gained >= quantum_s * (pulses - pulses[0] - 1.0) - _SLACK)
         return bool(full and np.all(fired.seconds[:-1] >= quantum_s * fired.pulses[:-1] - _SLACK))
-    off = np.abs(gained - quantum_s * np.round(gained / quantum_s))
     # the first reading is rounded, too
-    return bool(4.0 * step_s <= quantum_s and np.all(off <= step_s + _SLACK))
+    bound = step_s + _SLACK
+    off = np.abs(gained - whole_cycles(gained, quantum_s, phase_s))
+    are_whole = np.mean(_off(np.unique(gained), quantum_s) <= bound) > MOST_WHOLE
+    goes_on = np.diff(gained)[_off(gained[:-1], quantum_s) > bound] > 0.0
+    fits = np.all(off <= bound) and are_whole and np.all(goes_on)
+    return bool(4.0 * step_s <= quantum_s and fits)
 
 
 def delivered_pulses(on_time_s: Array, pulses: Array, least_s: float) -> Array:

@@ -39,7 +39,9 @@ from cassini_bayes.balance.statistics.counters import (
     LEAST_RUNS,
     Firings,
     are_quantised,
+    cut_phase,
     firings,
+    whole_cycles,
 )
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
@@ -121,7 +123,8 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
     if step_s < LEAST_STEP_S:
         return OnTimes(np.array(on_time_s, dtype=np.float64), (KNOWN,) * len(thrusters))
     if are_quantised(on_time_s, pulses, step_s, quantum_s):
-        gained = quantum_s * np.round((on_time_s - on_time_s[0]) / quantum_s)
+        phase_s = cut_phase(on_time_s, step_s, quantum_s)
+        gained = whole_cycles(on_time_s - on_time_s[0], quantum_s, phase_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
     return _smoothed(on_time_s, pulses, step_s)
 
