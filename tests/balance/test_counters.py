@@ -50,8 +50,8 @@ def test_readings_that_cut_pulses_of_whole_cycles_are_known(phase_s: float) -> N
     often = np.concatenate(
         [np.zeros((1, 2)), 0.125 * cycles + phase_s * (rng.random((80, 2)) < 0.8)]
     )
-    halves = 0.125 * cycles + 0.0625 * np.cumsum(rng.random((80, 2)) < 0.1, axis=0)
-    halves = np.concatenate([np.zeros((1, 2)), halves])
+    two = np.searchsorted([10, 20], np.arange(80), side="right")[:, None]
+    halves = np.concatenate([np.zeros((1, 2)), 0.125 * cycles + 0.0625 * two])
     halves[:, 1] = np.repeat(halves[::2, 1], 2)[:81]  # while the other one fires
     for other in (widths, often, halves):
         open_ = expected_on_times(np.round(other, 2), pulses, 0.01, 0.125)
