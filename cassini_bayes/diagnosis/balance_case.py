@@ -72,7 +72,7 @@ from cassini_bayes.diagnosis.thruster_forms import with_thruster_forms
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS
 from cassini_bayes.diagnosis.visible import visible_record
 from cassini_bayes.diagnosis.widths import by_width, change_of_evidence
-from cassini_bayes.effects.effect import Effect, Remainder, SearchResult
+from cassini_bayes.effects.effect import Effect, Remainder, SearchResult, settled_for
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.files.checkpoint import CheckpointStore
 
@@ -306,8 +306,7 @@ class BalanceCase(Case[Hypothesis]):
 
     def settled(self, weighed: Candidate) -> Sequence[SearchResult]:
         """Of its effects."""
-        each = (effect.search_result for effect in weighed.hypothesis.effects)
-        return [result for result in each if result is not None]
+        return settled_for(weighed.hypothesis.effects)
 
     def refit(
         self,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from cassini_bayes.effects.catalogue import Catalogue, read_catalogue
-from cassini_bayes.effects.effect import Effect, SearchResult
+from cassini_bayes.effects.effect import Effect, SearchResult, settled_for
 from cassini_bayes.effects.registry import Kinds, standard
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.event_reduction import ReducedEvent
@@ -59,7 +59,7 @@ class Events:
 
     def with_columns_of(self, effects: Sequence[Effect]) -> Events:
         """The events with the columns that go with what searches settled for some effects."""
-        settled = tuple(e.search_result for e in effects if e.search_result is not None)
+        settled = settled_for(effects)
         if not settled:
             return self
         for known, events in self._with_columns:

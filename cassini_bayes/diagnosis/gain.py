@@ -36,7 +36,7 @@ from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, mode_from
 from cassini_bayes.diagnosis.onsets import without_event
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
-from cassini_bayes.effects.effect import Effect, onsets
+from cassini_bayes.effects.effect import Effect, onsets, settled_for
 from cassini_bayes.model.posterior import collapse, of_events
 from cassini_bayes.model.thrusts import draw_thrusts
 from cassini_bayes.sampling.warmstart import lower_factor
@@ -220,8 +220,7 @@ def held_out_telemetry(
     """
     whole, without = by_all(events, weighed, fits[0]), _by_event(events, fits)
     known: dict[tuple[str, ...], tuple[Linear, list[Array]]] = {}
-    effects = (effect.search_result for effect in weighed.hypothesis.effects)
-    searched = [result for result in effects if result is not None]
+    searched = settled_for(weighed.hypothesis.effects)
     scores, residuals, inside = [], [], []
     for place, event in enumerate(events.telemetry):
         ways = taught(events, weighed, event.id, without[event.id])

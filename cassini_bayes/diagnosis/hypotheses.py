@@ -17,7 +17,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.processes import over_parts
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.effects.effect import Effect
+from cassini_bayes.effects.effect import Effect, settled_for
 from cassini_bayes.model.posterior import (
     Model,
     build_model,
@@ -67,11 +67,7 @@ class Hypothesis:
     @property
     def log_penalty(self) -> float:
         """What searches before the fit cost (nats)."""
-        return sum(
-            effect.search_result.log_looks
-            for effect in self.effects
-            if effect.search_result is not None
-        )
+        return sum(result.log_looks for result in settled_for(self.effects))
 
     @property
     def dimension(self) -> int:

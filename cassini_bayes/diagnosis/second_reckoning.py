@@ -42,7 +42,7 @@ from cassini_bayes.diagnosis.innovations import (
 )
 from cassini_bayes.diagnosis.modes import LOG_2_PI
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, torque_noise
-from cassini_bayes.effects.effect import Remainder
+from cassini_bayes.effects.effect import Remainder, settled_for
 from cassini_bayes.priors.distributions import Distribution
 
 NODES: Final = np.linspace(-4.0, 4.0, 97)  # standard normals, of the prior of torque noise
@@ -58,7 +58,7 @@ def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
 
     One that a search has settled has columns of its own, and is no such cause.
     """
-    if any(effect.search_result is not None for effect in cause.effects):
+    if settled_for(cause.effects):
         return False
     before = none.model.points(point[None, : none.dimension])
     after = cause.model.points(point[None])

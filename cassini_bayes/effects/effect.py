@@ -315,6 +315,12 @@ def _role(parameter: EffectParameter) -> str:
     return ", departure from the baseline's" if parameter.is_departure else ""
 
 
+def settled_for(effects: Iterable[Effect]) -> tuple[SearchResult, ...]:
+    """What searches before the fit have settled for some effects, in their order."""
+    results = (effect.search_result for effect in effects)
+    return tuple(result for result in results if result is not None)
+
+
 def columns_of(kinds: Iterable[Kind], thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
     """Every column of telemetry that some kinds need and that needs no search.
 

@@ -111,26 +111,29 @@ class Oscillation:
 
     def log_start_of(self, samples: Samples) -> float:
         """What the start of an event cost of the search, nats: nothing where all are alike."""
-        return self.log_start if self._turn_of(samples) else 0.0
+        return self.log_start if self.turns and self._place(samples) is not None else 0.0
 
-    def _turn_of(self, samples: Samples) -> complex:
-        """What turns the free oscillation of an event from the fit's."""
+    def _place(self, samples: Samples) -> int | None:
+        """Which of the events that the search has seen it is."""
+        of = _digest(samples.rate_rad_s)
+        return next((i for i, rates in enumerate(self.balanced) if rates.of == of), None)
+
+    def _turn(self, place: int | None) -> complex:
+        """What turns the free oscillation of an event in that place from the fit's."""
         if not self.turns:
             return 1.0
-        of = _digest(samples.rate_rad_s)
-        known = zip(self.balanced, self.turns, strict=True)
-        return next((complex(*turn) for rates, turn in known if rates.of == of), 0.0)
+        return 0.0 if place is None else complex(*self.turns[place])
 
     def columns(self, samples: Samples) -> tuple[ExtraColumn, ...]:
         """The three series (:func:`oscillation_series`) of an event and their slopes.
 
         Slopes are by frequency in units of 1/T and by damping in units of 1/(ΩT), T the span.
         """
-        known = {rates.of: rates.rate_rad_s for rates in self.balanced}
-        rate = known.get(_digest(samples.rate_rad_s), samples.rate_rad_s)
+        seen = self._place(samples)
+        rate = samples.rate_rad_s if seen is None else self.balanced[seen].rate_rad_s
         motion = known_motion(samples.time_s, rate)
         of_rows = over_trapezoids(self.frequency_hz, motion.step_s)
-        turn = self._turn_of(samples)
+        turn = self._turn(seen)
         unit_hz = 1.0 / self.span_s
         unit_damping = 1.0 / (2.0 * np.pi * self.frequency_hz * self.span_s)
 

@@ -27,8 +27,8 @@ from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
+from cassini_bayes.studies.blind.oscillations import hidden_line, hidden_oscillation
 from cassini_bayes.studies.blind.shift import View, at_truth, held, squared_size
-from cassini_bayes.studies.blind.sizes import hidden_line, hidden_oscillation
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
@@ -108,6 +108,15 @@ def test_noise_of_rates_does_not_hide_what_the_body_drives() -> None:
     assert np.mean(naive) < 0.7 * share
 
 
+def quiet_scene(seed: int, *events: str) -> Scene:
+    """Biases with rates ten times finer than flown."""
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    campaign = Blind(scenario, ROOT / "priors" / "x", seed, events)
+    document = campaign.document(np.random.default_rng(seed))
+    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
+    return Scene(campaign, document, seed, PRIORS)
+
+
 def left_by(view: View, values: dict[str, float], line: Oscillation) -> float:
     """σ of what the true parameters leave with the oscillation in the model at these values."""
     effect = replace(view.events.catalogue.effect("flexible_mode"), search_result=line)
@@ -125,11 +134,7 @@ def test_an_appendage_flown_in_closed_loop_is_what_the_model_says() -> None:
     hidden leaves 2 to 3); a share of the other sign leaves more than
     no oscillation does, and a free one alone three times as much as what the body drives with it.
     """
-    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
-    campaign = Blind(scenario, ROOT / "priors" / "x", 7, ("bias-1",))
-    document = campaign.document(np.random.default_rng(7))
-    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
-    scene = Scene(campaign, document, 7, PRIORS)
+    scene = quiet_scene(7, "bias-1")
     hidden = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0}
     hidden |= {"amplitude_rad_s": 4e-6, "inertia_fraction": 0.01}
     events = scene.fly_quietly((Hidden("flexible_mode", hidden, float("nan")),))
@@ -148,11 +153,7 @@ def test_a_hidden_line_has_the_phases_in_which_events_start() -> None:
 
     Control: the same line with both events alike leaves most of it.
     """
-    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
-    campaign = Blind(scenario, ROOT / "priors" / "x", 7, ("bias-1", "bias-2"))
-    document = campaign.document(np.random.default_rng(7))
-    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
-    scene = Scene(campaign, document, 7, PRIORS)
+    scene = quiet_scene(7, "bias-1", "bias-2")
     values = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0, "phase_step_rad": 2.0}
     values |= {"amplitude_rad_s": 4e-6, "inertia_fraction": 0.004}
     hidden = Hidden("flexible_mode", values, float("nan"))
@@ -171,12 +172,7 @@ def test_flights_that_start_anew_are_one_appendage(monkeypatch: pytest.MonkeyPat
     Its starts are told apart, its sizes hold the truth. Control: with one start for all the line
     found is not the appendage's, or is worth less by 30 nats and more.
     """
-    names = ("bias-1", "bias-2")
-    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
-    campaign = Blind(scenario, ROOT / "priors" / "x", 8, names)
-    document = campaign.document(np.random.default_rng(8))
-    document["truth"] |= {"rate_noise_rad_s": 2e-6, "attitude_noise_rad": 2e-5}
-    scene = Scene(campaign, document, 8, PRIORS)
+    scene = quiet_scene(8, "bias-1", "bias-2")
     truth = {"frequency_hz": 0.04, "damping": 0.002, "axis": 2.0, "inertia_fraction": 0.002}
     flights = [
         simulate_file(

@@ -109,13 +109,17 @@ def cut_phase(on_time_s: Array, step_s: float, quantum_s: float) -> float:
 
 def whole_cycles(gained_s: Array, quantum_s: float, phase_s: float) -> Array:
     """On-times (...) of whole cycles, or such to which what a reading has cut is added, s."""
-    whole = quantum_s * np.round(gained_s / quantum_s)
-    cut = phase_s + quantum_s * np.round((gained_s - phase_s) / quantum_s)
+    whole = _multiple(gained_s, quantum_s)
+    cut = phase_s + _multiple(gained_s - phase_s, quantum_s)
     return np.where(np.abs(gained_s - cut) < np.abs(gained_s - whole), cut, whole)
 
 
+def _multiple(gained_s: Array, quantum_s: float) -> Array:
+    return np.asarray(quantum_s * np.round(gained_s / quantum_s))
+
+
 def _off(gained_s: Array, quantum_s: float) -> Array:
-    return np.asarray(np.abs(gained_s - quantum_s * np.round(gained_s / quantum_s)))
+    return np.asarray(np.abs(gained_s - _multiple(gained_s, quantum_s)))
 
 
 def is_quantised(

@@ -33,8 +33,9 @@ from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.studies.blind.oscillations import hidden_oscillation
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS, combined, rate_information
-from cassini_bayes.studies.blind.sizes import NULL_VALUES, hidden_oscillation
+from cassini_bayes.studies.blind.sizes import NULL_VALUES
 
 KINKED: Final = ("pulse_shape", "time_offset")
 """Kinds whose change of the data has another direction on each side of zero."""

@@ -31,12 +31,12 @@ from cassini_bayes.studies.blind.alias import nearest_cause
 from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import classifier, sizes_of
+from cassini_bayes.studies.blind.oscillations import hidden_line
 from cassini_bayes.studies.blind.sizes import (
     BESIDE_NONE,
     MOST_DRAWS,
     Stage,
     draw_path,
-    hidden_line,
     sensitivity,
     sized_between,
     sized_from_prior,
