@@ -103,13 +103,19 @@ def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
 
 
 def products_of_turns(
-    turns: WhiteTurns, step_s: float, frequency_hz: Array, damping: float, left: Array
+    turns: WhiteTurns,
+    step_s: float,
+    frequency_hz: Array,
+    damping: float,
+    white: Array,
+    units: Array,
 ) -> tuple[Array, Array]:
     """Inner products of a free oscillation's cosine and sine, integrated over quiet pieces.
 
-    With each other, (f, 3 axes, 2, 2), and with what is left of turns, whitened, ``left`` (n, 3),
-    (f, 2, 3). With each other they count as a slope and as a swing in the noise of its frequency
-    (rows ``step_s`` apart). The answer to the body's motion is not among them.
+    About directions (d) that are ``units`` (3, d) along whitened axes: with each other, (f, d, 2,
+    2), and with what is left of turns, ``white`` (n, 3), (f, 2, d). With each other they count as a
+    slope and as a swing in the noise of its frequency (rows ``step_s`` apart). The answer to the
+    body's motion is not among them.
     """
     pieces, shares = turns.pieces, turns.slope_shares
     of_slopes, whole, along = _products_of_turns(
@@ -117,11 +123,11 @@ def products_of_turns(
         np.column_stack([np.ones(len(shares)), shares]),
         2.0 * np.pi * frequency_hz,
         damping,
-        turns.whitened_axes(left[:, :, None])[:, :, 0],
+        turns.whitened_axes(white[:, :, None])[:, :, 0] @ units,
     )
     swings = turns.swing_shares(frequency_hz, step_s)[:, :, None, None]
     squares = of_slopes[:, 1:] + swings * (whole[:, None] - of_slopes[:, :1])
-    return squares, along
+    return np.einsum("ad,faij->fdij", units**2, squares), along
 
 
 @compiled

@@ -84,15 +84,15 @@ def many_lines(
     projection = np.zeros((starts.count, len(frequencies), 3, 3))
     for event, motion, place in zip(rows, motions, starts.of_rows, strict=True):
         directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
-        lengths = (directions**2).sum(0)
-        left = event.white @ directions
         if event.turns is not None:
             squares, along = products_of_turns(
-                event.turns, motion.step_s, frequencies, damping, left
+                event.turns, motion.step_s, frequencies, damping, event.white, directions
             )
-            gram[place, :, :, :2, :2] += lengths[:, None, None] * squares
+            gram[place, :, :, :2, :2] += squares
             projection[place, :, :, :2] += np.swapaxes(along, 1, 2)
             continue
+        lengths = (directions**2).sum(0)
+        left = event.white @ directions
         squares, along = motion.products(event.time_s, frequencies, damping, left)
         squares[:, :2, 2:] *= -1.0  # what the balance lacks is less the driven part
         squares[:, 2:, :2] *= -1.0
@@ -139,7 +139,7 @@ class LineProducts:
         return factor
 
     @cached_property
-    def _views(self) -> Callable[[Direction], list[list[_View]]]:
+    def _views(self) -> Callable[[Direction], list[_View]]:
         return cache(partial(_views, self.rows, self.linear))
 
     def _of(
@@ -158,16 +158,12 @@ class LineProducts:
             # most columns have nothing of an event whose start is its own
             has = np.flatnonzero(made.any(axis=0))
             shown = _shown(event, motion, series @ made[:, has], shape[0])
-            each = [(a, view) for a, along in enumerate(own) for view in along]
-            for a, view in each:
-                seen = view.of(shown)
-                squares = seen.T @ seen
-                projection[a, has] += view.white @ seen
-                across[a][np.ix_(view.places, has)] += view.columns.T @ seen
-                for b, other in each:
-                    # noise of turns about one axis is not that about another
-                    if view.weights is None or other is view:
-                        gram[a, b][np.ix_(has, has)] += float(view.unit @ other.unit) * squares
+            each = _squares(own, shown)
+            for a, view in enumerate(own):
+                projection[a, has] += view.white @ shown
+                across[a][np.ix_(view.places, has)] += view.columns.T @ shown
+                for b in range(count):
+                    gram[a, b][np.ix_(has, has)] += each[a, b]
         flat = np.concatenate([*across], axis=1)
         whole = np.swapaxes(gram, 1, 2).reshape(flat.shape[1], -1)
         return whole - flat.T @ cho_solve(self._factor, flat), projection.ravel()
@@ -182,11 +178,12 @@ def _shown(event: EventRows, motion: KnownMotion, series: Array, frequency_hz: f
 
 
 class _View(NamedTuple):
-    """What one event's rows show along a direction: whitened momentum is weighed with these.
+    """What one event's rows show along a direction: inner products with series are those of these.
 
     ``unit`` (3,) is a whitened unit, ``white`` (n,) and ``columns`` (n, k) innovations and those of
     the linear model's columns that the event has along it, at ``places`` (k,). Of turns all are
-    along the modes of their pieces, where ``weights`` (n,) make noise white.
+    along the modes of their pieces, times ``weights`` (n, 3), which make noise about the whitened
+    axes white.
     """
 
     unit: Array
@@ -195,28 +192,31 @@ class _View(NamedTuple):
     places: Places
     weights: Array | None
 
-    def of(self, series: Array) -> Array:
-        """Series (n, c) as they are seen along the direction."""
-        return series if self.weights is None else self.weights[:, None] * series
+
+def _squares(views: Sequence[_View], shown: Array) -> Array:
+    """Inner products (b, b, q, q) of series (n, q) about b directions of one event."""
+    units = np.stack([view.unit for view in views])
+    weights = views[0].weights
+    if weights is None:
+        return np.asarray((units @ units.T)[:, :, None, None] * (shown.T @ shown))
+    of_axes = np.stack([(shown * own[:, None]).T @ (shown * own[:, None]) for own in weights.T])
+    return np.einsum("ai,bi,iqr->abqr", units, units, of_axes)
 
 
-def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[list[_View]]:
-    """Every event's views of a direction: one, of turns one along each axis that it has part in."""
+def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[_View]:
+    """Every event's view of a direction."""
     views = []
     for event, part in zip(rows, linear.columns.parts, strict=True):
-        to_white = np.linalg.inv(event.noise_factor)
-        columns = part.values.reshape(len(event.white), 3, -1)
+        unit: Array = np.asarray(np.linalg.solve(event.noise_factor, np.array(direction)))
+        values = part.values.reshape(len(event.white), 3, -1)
         if event.turns is None:
-            unit = to_white @ direction
-            along = np.tensordot(columns, unit, (1, 0))
-            views.append([_View(unit, event.white @ unit, along, part.places, None)])
+            along = np.tensordot(values, unit, (1, 0))
+            views.append(_View(unit, event.white @ unit, along, part.places, None))
             continue
-        own = []
-        for axis in np.flatnonzero(direction).tolist():
-            part_of: Array = np.asarray(direction[axis] * to_white[:, axis])
-            along = np.tensordot(columns, part_of, (1, 0))
-            seen = event.turns.in_modes(np.column_stack([event.white @ part_of, along]))
-            weights = event.turns.weights(axis)
-            own.append(_View(part_of, seen[:, 0], seen[:, 1:], part.places, weights))
-        views.append(own)
+        weights = np.stack([event.turns.weights(axis) for axis in range(3)], axis=1)
+        seen = np.zeros((len(weights), 1 + values.shape[2]))
+        for axis in range(3):
+            own = np.column_stack([event.white[:, axis], values[:, axis]])
+            seen += (unit[axis] * weights[:, axis])[:, None] * event.turns.in_modes(own)
+        views.append(_View(unit, seen[:, 0], seen[:, 1:], part.places, weights))
     return views

@@ -73,7 +73,7 @@ def test_sums_over_turns_are_those_of_the_integrated_series() -> None:
     """One pass over pieces of unlike lengths, rows missing, equals series written out.
 
     Where attitudes have all the noise; where wheels have some, sums with what is left stay exact
-    and squares are good to a quarter.
+    and squares are good to a quarter. Directions are whitened axes, or lie between them.
     """
     rng = np.random.default_rng(7)
     time_s = np.delete(TIME, [5, 6, 40])
@@ -81,15 +81,17 @@ def test_sums_over_turns_are_those_of_the_integrated_series() -> None:
     left, frequencies = rng.standard_normal((len(time_s), 3)), np.array([0.011, 0.13])
     left = pieces.centred(left)
     turns = WhiteTurns.over(pieces, np.array([0.0, 0.02, 0.1]))
-    squares, along = products_of_turns(turns, 1.0, frequencies, 0.002, left)
+    units = np.array([[1.0, 0.0, 0.6], [0.0, 1.0, -0.8], [0.0, 0.0, 2.0]])
+    squares, along = products_of_turns(turns, 1.0, frequencies, 0.002, left, units)
     for f, frequency in enumerate(frequencies):
         rate = 2.0 * np.pi * frequency * (1j - 0.002)
         waves = pieces.centred(np.exp(rate * time_s)[:, None] / rate)[:, 0]
         plain = np.column_stack([waves.real, waves.imag])
-        for axis, close in enumerate((1e-9, 0.15, 0.25)):
-            columns = turns.whitened(plain, axis)
+        for place, close in enumerate((1e-9, 0.15, 0.25)):
+            momentum = units[:, place, None] * plain[:, None, :]
+            columns = turns.whitened_axes(momentum).reshape(3 * len(left), -1)
             size = np.diagonal(columns.T @ columns).max()
-            assert squares[f, axis] == pytest.approx(columns.T @ columns, abs=close * size)
-            assert along[f, :, axis] == pytest.approx(
-                columns.T @ left[:, axis], abs=1e-9 * np.sqrt(size * len(left))
+            assert squares[f, place] == pytest.approx(columns.T @ columns, abs=close * size)
+            assert along[f, :, place] == pytest.approx(
+                columns.T @ left.reshape(-1), abs=1e-9 * np.sqrt(size * left.size)
             )
