@@ -83,7 +83,8 @@ def many_lines(
     gram = np.zeros((starts.count, len(frequencies), 3, 3, 3))
     projection = np.zeros((starts.count, len(frequencies), 3, 3))
     for event, motion, place in zip(rows, motions, starts.of_rows, strict=True):
-        directions = np.linalg.inv(event.noise_factor)  # column a: a unit of momentum, whitened
+        # column a: a unit of momentum about axis a, whitened
+        directions: Array = np.asarray(np.linalg.inv(event.noise_factor))
         if event.turns is not None:
             squares, along = products_of_turns(
                 event.turns, motion.step_s, frequencies, damping, event.white, directions
@@ -200,7 +201,7 @@ def _squares(views: Sequence[_View], shown: Array) -> Array:
     if weights is None:
         return np.asarray((units @ units.T)[:, :, None, None] * (shown.T @ shown))
     of_axes = np.stack([(shown * own[:, None]).T @ (shown * own[:, None]) for own in weights.T])
-    return np.einsum("ai,bi,iqr->abqr", units, units, of_axes)
+    return np.asarray(np.einsum("ai,bi,iqr->abqr", units, units, of_axes))
 
 
 def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[_View]:

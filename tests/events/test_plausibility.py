@@ -976,6 +976,19 @@ def test_a_row_in_ms_is_named_alone(place: int) -> None:
     assert not judged([replace(row, on_time_s=1e3 * row.on_time_s)], accepted).startswith("on-t")
 
 
+@pytest.mark.parametrize("factor", [1.0 / 60.0, 1e-3])
+def test_pulses_shorter_than_a_valve_allows_are_named(
+    honest: dict[str, Event], factor: float
+) -> None:
+    """On-times in minutes or divided by 1,000 once too often: tails would close the balance."""
+    event, chunk = honest["bias"]
+    short = replace(chunk, on_time_s=factor * chunk.on_time_s)
+    with pytest.raises(InputError, match=r"at least 0\.005 s on average") as caught:
+        check_telemetry(event, [short], CASSINI, NOMINAL)
+    assert caught.value.fix.endswith("--accept on-time-unit")
+    assert "telemetry.csv" in caught.value.where
+
+
 def test_on_times_that_are_a_thrust_cannot_be_known() -> None:
     """On-times × 1.2 are a weaker thrust: no check can tell, and none pretends to."""
     assert judged([replace(row, on_time_s=1.2 * row.on_time_s) for row in flight()]) == ""

@@ -16,6 +16,7 @@ from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
 from cassini_bayes.events.plausibility.hypotheses import (
     AXES,
     Evidence,
+    are_too_short,
     explanations,
     likelier_rates,
     likeliest,
@@ -37,6 +38,7 @@ from cassini_bayes.events.plausibility.verdict import (
     best_explanations,
 )
 from cassini_bayes.events.telemetry import Chunk, TelemetryEvent
+from cassini_bayes.events.totals import SHORTEST_PULSE_S
 from cassini_bayes.spacecraft import Spacecraft
 
 ONE_MOTION: Final = "attitude, rates, wheels and counters of one motion"
@@ -128,6 +130,8 @@ class TelemetryCheck:
         findings = Findings(self._policy, channels.where if channels is not None else "")
         self._check_pulses(findings)
         rows, motion = self._rows.rows(), self._rows.motion()
+        if rows is not None:
+            self._check_widths(rows, findings)
         if motion is not None:
             self._check_still_rates(motion, findings)
         evidence = Evidence(self._nominal, motion, rows)
@@ -184,6 +188,21 @@ class TelemetryCheck:
             f"{self._where}: column on_time_{thruster}_s",
             "at most the time that passes between two readings",
             f"{excess_s.max():.6g} s more: on-times that look like ms",
+            "give on_time_…_s in seconds",
+        )
+
+    def _check_widths(self, rows: Rows, findings: Findings) -> None:
+        """No valve is open for less than some milliseconds, whatever tails could make up for."""
+        on_time = rows.on_time_s[-1] - rows.on_time_s[0]
+        pulses = rows.pulses[-1] - rows.pulses[0]
+        if not are_too_short(on_time, pulses):
+            return
+        findings.refuse(
+            "on-time-unit",
+            f"{self._where}: columns on_time_…",
+            f"pulses of at least {SHORTEST_PULSE_S:g} s on average",
+            f"{on_time.sum():.4g} s in {pulses.sum():.0f} pulses: on-times that look like a longer"
+            " unit than they are",
             "give on_time_…_s in seconds",
         )
 

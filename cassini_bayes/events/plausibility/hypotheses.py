@@ -40,6 +40,7 @@ from cassini_bayes.events.plausibility.verdict import (
     SUSPECT,
     Explanation,
 )
+from cassini_bayes.events.totals import SHORTEST_PULSE_S
 
 SILENT: Final = 1.5
 """Factor of misfits: without one axis of three, noise-free ones are two thirds as large."""
@@ -54,8 +55,6 @@ RATE_UNITS: Final = {
     "rad/s turned from deg/s twice": 180.0 / np.pi,
 }
 ON_TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0}
-SHORTEST_PULSE_S: Final = 5e-3
-"""No valve is quicker: shorter mean pulses are on-times in a longer unit."""
 TIME_UNITS: Final = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86_400.0, "µs": 1e-6}
 LATE_S: Final = (2.0, 5.0, 8.0, 12.0, 20.0, 32.0, 50.0, 75.0)
 """Delays that are tried first, each some 1.6 times the one before (judgement): the best is refined
@@ -480,9 +479,14 @@ def impossible_units(on_time_s: Array, pulses: Array, span_s: float) -> dict[str
     units = {}
     if float(on_time_s.max(initial=0.0)) > span_s:
         units["ms"] = ON_TIME_UNITS["ms"]
-    if 0.0 < float(on_time_s.sum()) < SHORTEST_PULSE_S * float(pulses.sum()):
+    if are_too_short(on_time_s, pulses):
         units["min"] = ON_TIME_UNITS["min"]
     return units
+
+
+def are_too_short(on_time_s: Array, pulses: Array) -> bool:
+    """Whether on-times (K,) of so many pulses are shorter than a valve allows: in a longer unit."""
+    return 0.0 < float(on_time_s.sum()) < SHORTEST_PULSE_S * float(pulses.sum())
 
 
 def _of_rates(evidence: Evidence) -> Iterator[Explanation]:
