@@ -89,6 +89,13 @@ def main() -> None:
         reason = error.strerror or str(error)
         _print_error(f"{place}: {reason}; check the path, its permissions and the free space")
         sys.exit(2)
+    except (OverflowError, ValueError) as error:
+        # numpy's error by name: it is imported by the commands that need it
+        if not isinstance(error, OverflowError) and type(error).__name__ != "LinAlgError":
+            raise
+        reason = "a prior or a value is far out of range: compare units and sizes with the data"
+        _print_error(f"the arithmetic came to no end ({error}); {reason}")
+        sys.exit(2)
     except SystemError as error:
         if not _is_interrupt(error):
             raise

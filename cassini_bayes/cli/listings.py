@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from cassini_bayes.cli.options import Effects, Json
+from cassini_bayes.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,6 +26,9 @@ def causes_command(
     """Causes that a diagnosis weighs, and effects that a fit takes by name, with their priors."""
     from cassini_bayes.pipeline.listings import causes
 
+    if priors == PRIORS and not priors.exists():
+        wanted = "a priors file, whose spacecraft has the targets"
+        raise InputError("--priors", wanted, f"none, and no {PRIORS} here", "name one")
     _show(causes(priors, effect_files=effects or ()), as_json)
 
 

@@ -19,9 +19,13 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?", re
 
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The known name most like ``name``; None when none is alike by at least ``cutoff``."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
-    return close[0] if close else None
+    """The known name most like ``name``; None when none is alike by at least ``cutoff``.
+
+    One of the same letters in another order comes first: exchanged letters are the usual slip.
+    """
+    close = difflib.get_close_matches(name, list(known), n=3, cutoff=cutoff)
+    exchanged = [other for other in close if sorted(other) == sorted(name)]
+    return next(iter([*exchanged, *close]), None)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

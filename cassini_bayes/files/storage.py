@@ -70,6 +70,8 @@ def _sync(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return InputError(str(path), "a folder", "a file", "choose another output folder")
     return InputError(
         str(path),
         "a place that can be written",

@@ -358,6 +358,28 @@ def thrust_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Arr
     return mean, (spread**2).sum(-1) + (response**2).sum(-1)
 
 
+def level_moments(prior: ThrustPrior, collapsed: CollapsedThrusts) -> tuple[Array, Array]:
+    """Mean and standard deviation (n, 1 + K) of the common thrust, then of every thruster's level.
+
+    In prior standard deviations from the prior mean, N; of levels that all events share, (K, q).
+    With Σ = S Sᵀ the prior covariance of levels the common one is regressed on them by
+    w = σ_c² Σ⁺ 1, which leaves σ_c² − wᵀ Σ w of its variance.
+    """
+    shared = prior.shared
+    covariance = shared @ shared.T
+    variance = prior.common_sd_n**2
+    weights = variance * np.linalg.pinv(covariance, hermitian=True).sum(0)
+    left = max(variance - float(weights @ covariance @ weights), 0.0)
+    rows = np.concatenate([(weights @ shared)[None], shared])
+    inverse = np.linalg.inv(collapsed.shared_factor)
+    mean = (np.swapaxes(inverse, -1, -2) @ collapsed.shared_shift[..., None])[..., 0] @ rows.T
+    spread = ((rows @ np.swapaxes(inverse, -1, -2)) ** 2).sum(-1)
+    spread[:, 0] += left
+    size = np.sqrt(np.concatenate([[variance], np.diagonal(covariance)]))
+    unit = np.where(size > 0.0, size, 1.0)
+    return np.asarray(mean / unit), np.where(size > 0.0, np.sqrt(spread) / unit, 1.0)
+
+
 def prior_thrusts(
     prior: ThrustPrior,
     parameters: Parameters,

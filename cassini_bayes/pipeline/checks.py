@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -17,7 +17,8 @@ from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.gather import EventLike, PathLike
 from cassini_bayes.model.observability import Observability, observability
-from cassini_bayes.model.posterior import Event, Model, log_posterior
+from cassini_bayes.model.posterior import Event, Model, collapse, log_posterior
+from cassini_bayes.model.thrusts import level_moments
 from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.report.shown import html_of, with_interval
@@ -205,11 +206,35 @@ def _disagreement(model: Model, seen: Observability, mode: Any) -> pd.DataFrame:
     width = np.array([ratio[name] for name in names])
     judged = conflicts(names, mode[places], width)
     at_mode, centre = model.space.to_parameters(mode), model.space.centre()
-    return judged.assign(
+    walked = judged.assign(
         unit=[model.specs[name].unit for name in names],
         prior=[float(centre[name]) for name in names],
         mode=[float(at_mode[name]) for name in names],
     )
+    return pd.concat([walked, *_thrusts_against_prior(model, mode)], ignore_index=True)
+
+
+def _thrusts_against_prior(model: Model, mode: Any) -> Iterator[pd.DataFrame]:
+    """Prior against mode of the common thrust; where it agrees, of every thruster's level.
+
+    They are collapsed: what the data say of them is exact at the mode. Levels that effects change
+    from event to event, or that an earlier fit gave, are not judged.
+    """
+    prior = model.thrust_prior
+    if not model.fires or prior.shared.ndim != 2 or prior.chained is not None:
+        return
+    thrusts = collapse(model, mode[None]).thrusts
+    moved, width = (values[0] for values in level_moments(prior, thrusts))
+    names = ["thrust_common_n", *(f"thrust_level_n[{name}]" for name in model.thrusters)]
+    sizes = np.sqrt([prior.common_sd_n**2, *np.diagonal(prior.shared @ prior.shared.T)])
+    centre = float(thrusts.common_n[0])
+    for group in (slice(0, 1), slice(1, None)):
+        judged = conflicts(names[group], moved[group], width[group])
+        at = centre + sizes[group] * moved[group]
+        judged = judged.assign(unit="N", prior=centre, mode=at)
+        if (judged["verdict"] == "conflict").any():
+            yield judged
+            return
 
 
 def _seconds(model: Model, mode: Any) -> tuple[float, float]:

@@ -52,6 +52,8 @@ _BUT_SIGNED: Final = (
 _NEVER_NEGATIVE: Final = ("inertia_xx_kg_m2", "inertia_yy_kg_m2", "inertia_zz_kg_m2")
 # More prior probability of a negative value than this means that a bound was forgotten.
 _NEGATIVE_MASS: Final = 1e-3
+_PUSHING: Final = ("thrust_common_n",)
+"""Above zero, but with a wide normal prior that is summed over exactly as it is: half will do."""
 
 
 TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
@@ -365,7 +367,7 @@ def _read_spacecraft(path: Path, table: Mapping[str, object]) -> Spacecraft:
         if Path(name).suffix or Path(name).name != name:
             fix = "use file = … for a file"
             raise InputError(f"{where}.name", "the name of a built-in", repr(name), fix)
-        return load_spacecraft(name)
+        return load_spacecraft(name, f"{where}.name")
     file = _text(f"{where}.file", table["file"], "a path", "name the spacecraft's TOML file")
     return load_spacecraft(path.parent / file)
 
@@ -441,7 +443,7 @@ def _read_fixed(where: str, spec: ParameterSpec, table: Mapping[str, object]) ->
             raise InputError(f"{where}.{key}", expected, repr(key), hint)
     value = finite_number(f"{where}.fixed", table["fixed"], spec.unit)
     _check_centre(f"{where}.fixed", spec, value)
-    if _never_negative(spec) and value < 0:
+    if (_never_negative(spec) or spec.name in _PUSHING) and value < 0:
         fix = f"{spec.meaning}: check the sign"
         raise InputError(f"{where}.fixed", "a value of 0 or more", repr(value), fix)
     return value
@@ -461,6 +463,10 @@ def _read_distribution(
     check_bounds(where, distribution)
     if _never_negative(spec):
         _check_never_negative(where, spec, distribution)
+    if spec.name in _PUSHING and (median := float(distribution.quantile_of_standard(0.0))) <= 0.0:
+        expected = f"a prior of {spec.name} about a value above 0"
+        fix = "give the force of a thruster as a positive number"
+        raise InputError(where, expected, f"a median of {median:g} {spec.unit}", fix)
     return distribution
 
 

@@ -38,6 +38,7 @@ def width_slider(record: Record) -> Slider | None:
             ),
         ),
         shown="mean ± sd or probability",
+        numbers="diagnosis.json (by_width)",
     )
 
 

@@ -129,7 +129,7 @@ class SliderPrior:
 class Slider:
     """Quantities that move with the width of a prior; ``start`` is the width as fitted.
 
-    ``shown`` says what a quantity's value is.
+    ``shown`` says what a quantity's value is, ``numbers`` where they all are.
     """
 
     kind: ClassVar[str] = "slider"
@@ -139,6 +139,7 @@ class Slider:
     start: int
     priors: tuple[SliderPrior, ...]
     shown: str = "mean ± sd"
+    numbers: str = "tables/prior_widths.csv"
 
     @property
     def data(self) -> dict[str, object]:

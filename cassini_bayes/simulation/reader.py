@@ -165,7 +165,9 @@ def _effects(
 def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
     table = scenario.spacecraft
     check_either(f"{where}: spacecraft", table.name is not None, table.file is not None)
-    return load_spacecraft(folder / str(table.file) if table.name is None else table.name)
+    if table.name is not None:
+        return load_spacecraft(table.name, f"{where}: spacecraft.name")
+    return load_spacecraft(folder / str(table.file))
 
 
 def _with_cycle(where: str, scenario: Scenario, cycle_s: float) -> Scenario:

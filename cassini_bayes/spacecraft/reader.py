@@ -84,8 +84,10 @@ class _File(_Table):
     highest_wheel_rpm: Annotated[float, Field(gt=0.0, le=1e6)] = HIGHEST_WHEEL_RPM
 
 
-def load_spacecraft(reference: str | Path) -> Spacecraft:
+def load_spacecraft(reference: str | Path, where: str = "spacecraft") -> Spacecraft:
     """Read a spacecraft: the name of a built-in one, or the path of a TOML file.
+
+    ``where`` is the key of the file that names it, for messages.
 
     Checked: every key and type; unit vectors (a norm within 1e-6 of one is normalised away); names
     that occur once; parameters that are declared, in the unit of their use, and hide none of
@@ -104,7 +106,7 @@ def load_spacecraft(reference: str | Path) -> Spacecraft:
     files = resources.files(__package__)
     names = [e.name.removesuffix(".toml") for e in files.iterdir() if e.name.endswith(".toml")]
     expected = f"a built-in spacecraft ({', '.join(names)}) or the path of a .toml file"
-    check_known("spacecraft", str(reference), names, expected)
+    check_known(where, str(reference), names, expected)
     content = files.joinpath(f"{reference}.toml").read_bytes()
     return _build(content, f"{reference}.toml")
 

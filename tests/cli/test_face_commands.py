@@ -51,6 +51,13 @@ def test_a_conflict_is_found_before_sampling(capsys: Captured) -> None:
     assert capsys.readouterr().err == ""
 
 
+def test_a_thrust_that_the_events_contradict_is_found_before_sampling() -> None:
+    """Thrusts are summed over and not walked: a common one eight widths low is still named."""
+    shifted = priors().scaled(["thrust_common_n"], shift=-8.0)
+    found = cb.check(events("bias"), shifted).warnings
+    assert any(line.startswith("thrust_common_n: the data pull it +") for line in found)
+
+
 def test_lists_are_tables_and_json(capsys: Captured, tmp_path: Path) -> None:
     """Every name once with its unit; JSON has the same names."""
     save_fit(small_fit()[1], tmp_path / "fit.nc")

@@ -44,6 +44,17 @@ def one_line(capsys: Captured, *arguments: str) -> str:
     return error
 
 
+def test_arithmetic_that_breaks_down_is_one_line(capsys: Captured, tmp_path: Path) -> None:
+    """A scale of 1e300 N overflows: said with what to compare, and no traceback."""
+    text = B_BRANCH.read_text(encoding="utf-8").replace("scale = 0.05", "scale = 1e300", 1)
+    path = tmp_path / "priors.toml"
+    path.write_text(text, encoding="utf-8")
+    error = refused(capsys, "check", f"{FLIGHT}:{EVENTS[0]}", "--priors", str(path))
+    assert error.startswith("error: the arithmetic came to no end")
+    assert error.count("\n") == 1
+    assert "out of range" in error
+
+
 COMMANDS = {
     "run": ["run", "x.toml"],
     "fit": ["fit", "x.csv", "--priors", "p.toml", "--out", "o"],

@@ -23,7 +23,12 @@ from cassini_bayes.model import (
     log_likelihood,
     log_posterior,
 )
-from cassini_bayes.model.thrusts import collapse_thrusts, draw_thrusts, thrust_log_prior
+from cassini_bayes.model.thrusts import (
+    collapse_thrusts,
+    draw_thrusts,
+    level_moments,
+    thrust_log_prior,
+)
 from cassini_bayes.priors.reader import Priors
 
 
@@ -335,3 +340,19 @@ def test_naive_likelihood_without_jacobian_differs(
     # a tilt exp(g·F) of a normal shifts its mean by the covariance with F times g
     predicted = (jacobian.gradient[0] * covariance).sum()
     assert levels[0] - levels[1] == pytest.approx(predicted, rel=0.35)  # 13 % Monte Carlo error
+
+
+def test_moments_of_levels_are_those_of_draws(case: tuple[object, object, Model]) -> None:
+    """Common thrust and levels, in prior widths from the prior mean: 40,000 draws have the same."""
+    _, _, model = case
+    n, prior = 40_000, model.thrust_prior
+    points = model.points(np.zeros((n, len(model.space.names))))
+    rows = model.totals_rows.at(points)
+    collapsed = collapse_thrusts(prior, rows.information, points.common_n, None)
+    mean, width = (values[0] for values in level_moments(prior, collapsed))
+    draws = draw_thrusts(prior, collapsed, np.random.default_rng(4))
+    sizes = np.sqrt([prior.common_sd_n**2, *np.diagonal(prior.shared @ prior.shared.T)])
+    drawn = np.column_stack([draws.common_n, draws.level_n]) - prior.common_mean_n
+    drawn /= sizes
+    assert mean == pytest.approx(drawn.mean(0), abs=5.0 / np.sqrt(n))
+    assert width == pytest.approx(drawn.std(0), rel=5.0 / np.sqrt(2 * n))

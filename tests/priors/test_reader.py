@@ -98,6 +98,14 @@ def test_reading_keeps_what_the_file_says(tmp_path: Path) -> None:
     assert priors.digest == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.parametrize("value", ['dist = "norm"\nloc = -0.76\nscale = 0.05', "fixed = -0.76"])
+def test_a_thrust_that_pulls_is_refused(tmp_path: Path, value: str) -> None:
+    """Its sign is that of the direction in the spacecraft file; the reader blames no counter."""
+    table = f'\n[parameters.thrust_common_n]\n{value}\nunit = "N"\nsource = "x"\n'
+    with pytest.raises(InputError, match=r"parameters\.thrust_common_n.*-0\.76"):
+        read_priors(write(tmp_path, TEXT + table))
+
+
 def test_bom_and_crlf_are_tolerated(tmp_path: Path, priors: Priors) -> None:
     """A file saved by another editor says the same."""
     path = tmp_path / "windows.toml"

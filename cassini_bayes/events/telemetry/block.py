@@ -66,7 +66,7 @@ class Block:
     ) -> InputError:
         """The error to raise about a cell; ``got`` replaces what the cell holds."""
         value = self.cells[column, row]
-        shown = "an empty cell" if np.isnan(value) else f"{value:.10g}"
+        shown = "an empty cell or NaN" if np.isnan(value) else f"{value:.10g}"
         return InputError(self.where(row, column), expected, got or shown, fix)
 
     def check(self, wrong: NDArray[np.bool_], column: int, expected: str, fix: str) -> None:

@@ -57,6 +57,10 @@ class Mends:
     def lines(self) -> tuple[str, ...]:
         """One line of text per repair, for reports."""
         return tuple(
-            f"{m.column}: {m.sentence} ({m.count}×, rows {m.first_row} to {m.last_row})"
+            f"{m.column}: {m.sentence} ({m.count}×, {_rows(m.first_row, m.last_row)})"
             for m in self.found
         )
+
+
+def _rows(first: int, last: int) -> str:
+    return f"row {first}" if first == last else f"rows {first} to {last}"
