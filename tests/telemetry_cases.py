@@ -192,15 +192,20 @@ class PlainRows:
 
 
 class PlainOpen(NamedTuple):
-    """Share of close pulses, and the factor on what coarse counters leave open."""
+    """Share of close pulses, and the factors on what coarse counters leave open and on pairs."""
 
     close: float
     factor: float
+    of_pairs: float
 
     @staticmethod
     def of(values: Mapping[str, float]) -> PlainOpen:
         """At these values of the parameters."""
-        return PlainOpen(values["close_pulse_share"], values.get("open_counter_factor", 1.0))
+        return PlainOpen(
+            values["close_pulse_share"],
+            values.get("open_counter_factor", 1.0),
+            values.get("close_pulse_factor", 1.0),
+        )
 
     def of_columns(self, term: TelemetryTerm) -> float:
         """The factor for one event: counters in steps of more than 3 ms have it."""
@@ -254,8 +259,18 @@ def plain_steps(rows: PlainRows, couple: int, sampling: Sampling) -> list[PlainS
 
 def plain_pair(sampling: Sampling) -> float:
     """Variance of what a pair loses, at the reference and a share of 0.3, s²."""
-    gaps, cycle_s = np.array(sampling.gaps_s), sampling.control_cycle_s
-    return max(plain_losses(gaps, cycle_s, sampling.pulse_reference_s, 0.3)[1], 1e-12)
+    gaps, cycle_s, tau = (
+        np.array(sampling.gaps_s),
+        sampling.control_cycle_s,
+        sampling.pulse_reference_s,
+    )
+    reached = plain_reached(sampling.paired_s, tau)
+    return max(reached**4 * plain_losses(gaps, cycle_s, tau, 0.3)[1], 1e-12)
+
+
+def plain_reached(widths_s: Sequence[float], tau: tuple[float, ...]) -> float:
+    """Mean thrust, over the steady one, that first-order pulses of these widths reach."""
+    return float(np.mean([1.0 - np.exp(-width / tau[1]) for width in widths_s]))
 
 
 def plain_losses(
@@ -283,9 +298,15 @@ def plain_rows(
     cuts = np.zeros(len(sampling.couples))
     before = np.zeros(len(sampling.couples))  # pulses in the interval before
     effective = effective_steps(samples, sampling, tau)
+    reached = {}  # by pulses of a firing, squared, over those of all
     for g, couple in enumerate(sampling.couples):
         for firing in plain_firings(samples, couple):
             rows.firings.append((float(samples.time_s[firing.rows[-1]]), g, firing))
+            own, usual = (
+                plain_reached(widths, sampling.pulse_reference_s)
+                for widths in ([firing.seconds / firing.count], sampling.paired_s)
+            )
+            reached.update({(row, g): (own / usual) ** 2 for row in firing.rows})
     for i, time in enumerate(samples.time_s):
         if i > 0:
             mean = 0.5 * (bodies[i] + bodies[i - 1])
@@ -299,6 +320,7 @@ def plain_rows(
                 usual = min(1.0, 1.0 / length)  # of two pulses; three are 1.5 times as close
                 within = min(usual * max(started / 2.0, 1.0), 5.0 / 3.0) * max(started - 1, 0)
                 number = within + usual * min(started * before[g], 4.0) / 6.0
+                number *= reached.get((i, g), 0.0)
                 cuts[g] += number
                 before[g] = max(started, float(gained > 0))
                 if number > 0:
@@ -813,7 +835,7 @@ def _unknowns(
     columns = np.zeros((3 * n, thrusters))
     if samples.on_time_s.shape[1] == 0:
         return own, columns, mean
-    lost, scattered = plain_lost(term, tau, open_.close)
+    lost, scattered = plain_lost(term, tau, open_)
     counts = np.array(rows.cuts)  # (n, G)
     couples = term.event.sampling.couples
     for k in range(thrusters):
@@ -836,11 +858,14 @@ def _unknowns(
     return own, columns, mean
 
 
-def plain_lost(term: TelemetryTerm, tau: tuple[float, ...], close: float) -> tuple[float, float]:
+def plain_lost(
+    term: TelemetryTerm, tau: tuple[float, ...], open_: PlainOpen
+) -> tuple[float, float]:
     """On-time that a pair loses on average, and one standard deviation of it, s."""
-    gaps = term.event.statistics.counters.gaps_s
-    mean, square = plain_losses(gaps, term.event.sampling.control_cycle_s, tau, close)
-    return mean, float(np.sqrt(square))
+    gaps, sampling = term.event.statistics.counters.gaps_s, term.event.sampling
+    mean, square = plain_losses(gaps, sampling.control_cycle_s, tau, open_.close)
+    reached = plain_reached(sampling.paired_s, tau)
+    return reached**2 * mean, float(reached**2 * np.sqrt(open_.of_pairs * square))
 
 
 def plain_open(
@@ -862,7 +887,7 @@ def plain_open(
     if not rows.shots:
         return total
     sampling = term.event.sampling
-    _, scattered = plain_lost(term, tau, open_.close)
+    _, scattered = plain_lost(term, tau, open_)
     counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]

@@ -84,7 +84,12 @@ class Body:
         return rate_rad_s @ self.inertia_kg_m2.T + wheels
 
 
-OF_CONTROLLERS = ("close_pulse_share", "late_pulse_factor", "open_counter_factor")
+OF_CONTROLLERS = (
+    "close_pulse_share",
+    "close_pulse_factor",
+    "late_pulse_factor",
+    "open_counter_factor",
+)
 
 
 def read_priors(path: Path, branch: str) -> Table:

@@ -22,7 +22,7 @@ from cassini_bayes.spacecraft import (
     wheel_axes,
     wheel_inertias,
 )
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, OPEN_FACTOR, PAIR_FACTOR
 from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 
 Parameters = Mapping[str, Array | float]
@@ -53,6 +53,7 @@ class Physics:
     arms_m: Array  # (..., 3, K) torque per newton; no thrusters: K = 0
     tau_s: tuple[Array, Array, Array]  # delay, rise, fall, each (...)
     close_share: Array | float = 0.0  # (...) of pulses within a second, a control cycle apart
+    pair_factor: Array | float = 1.0  # (...) on the variance of what pairs of pulses lose
     late_factor: Array | float = 1.0  # (...) on the variance of what is late in rows, or cut there
     open_factor: Array | float = 1.0  # (...) on the variance of what coarse counters leave open
     thrust_factor: Array | float = 1.0  # (..., K) of the thrusters' levels
@@ -100,6 +101,7 @@ def physics_of(
         arms_m=lever_arms(spacecraft, branch, parameters) if fires else np.zeros((3, 0)),
         tau_s=(delay, rise, fall),
         close_share=parameters.get(CLOSE_SHARE, zero) if fires else zero,
+        pair_factor=parameters.get(PAIR_FACTOR, np.ones(())),
         late_factor=parameters.get(LATE_FACTOR, np.ones(())),
         open_factor=parameters.get(OPEN_FACTOR, np.ones(())),
         rate_bias_rad_s=_rate_bias(parameters),

@@ -223,23 +223,25 @@ def open_scales(event: TelemetryBalance, physics: Physics) -> OpenScales:
 
     Torques are those of the event's own thrusts: a factor on what the prior expects is in them.
     Where rows have late pulses, what pairs scatter has the factor that is inferred of what is late:
-    of thrusters that fire all the time pairs are no independent draws. What coarse counters leave
-    open has a factor, too.
+    of thrusters that fire all the time pairs are no independent draws. Elsewhere it has a factor of
+    its own, as a controller's pairs may be more alike than the gaps of single pulses let expect.
+    What coarse counters leave open has one, too.
     """
     n = len(physics.inertia_kg_m2)
     if not event.fires:
         nothing = LostTails(np.zeros(n), np.zeros(n))
         return OpenScales(np.zeros((n, 3, 0)), nothing, np.zeros((n, len(PULSE_COLUMNS))))
-    tail = event.sampling.pulse_shape.tail_s(*physics.tau_s)
-    tail, fall = (np.broadcast_to(value, (n,)) for value in (tail, physics.tau_s[2]))
-    gaps, share = event.statistics.counters.gaps_s, close_share(physics, n)
-    offset = mean_offset(physics, n)
+    counters, offset = event.statistics.counters, mean_offset(physics, n)
+    cut = np.broadcast_to(event.sampling.cut_tail_s(physics.tau_s, offset), (n,))
+    fall, share = np.broadcast_to(physics.tau_s[2], (n,)), close_share(physics, n)
     pulse = event.sampling.pulses.of_thrusters(physics.tau_s, offset[:, None])[:, 0]
-    if event.statistics.counters.are_coarse:
+    if counters.are_coarse:
         pulse = pulse * np.sqrt(np.reshape(physics.open_factor, (-1, 1)))
-    lost = lost_tails(gaps, event.sampling.control_cycle_s, tail, fall, share, offset)
+    lost = lost_tails(counters.gaps_s, event.sampling.control_cycle_s, cut, fall, share, offset)
     if event.late is not None:
         lost = lost._replace(variance_s2=physics.late_factor * lost.variance_s2)
+    else:
+        lost = lost._replace(variance_s2=physics.pair_factor * lost.variance_s2)
     return OpenScales(
         couple_torques(event, physics), lost, np.broadcast_to(pulse, (n, pulse.shape[-1]))
     )

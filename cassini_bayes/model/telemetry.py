@@ -71,7 +71,13 @@ from cassini_bayes.model.terms import (
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
-from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, LATE_FACTOR, NOISE_LEVELS, OPEN_FACTOR
+from cassini_bayes.spacecraft.parameters import (
+    CLOSE_SHARE,
+    LATE_FACTOR,
+    NOISE_LEVELS,
+    OPEN_FACTOR,
+    PAIR_FACTOR,
+)
 
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
@@ -450,6 +456,8 @@ def telemetry_parameters(
         names += shared.thrust_prior.walked
     if has_late_pulses:
         names.append(LATE_FACTOR)
+    elif fires:
+        names.append(PAIR_FACTOR)
     if has_coarse_counters:
         names.append(OPEN_FACTOR)
     if has_delta_v:

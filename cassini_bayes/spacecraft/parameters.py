@@ -23,6 +23,7 @@ EFFECT_BLOCK: Final = "effect"
 
 
 CLOSE_SHARE: Final = "close_pulse_share"
+PAIR_FACTOR: Final = "close_pulse_factor"
 LATE_FACTOR: Final = "late_pulse_factor"
 OPEN_FACTOR: Final = "open_counter_factor"
 NOISE_LEVELS: Final = (
@@ -102,6 +103,8 @@ _GENERIC: Final = (
         "tail-off",
         "1",
         close_pulse_share="share of pulses within a second that start one control cycle apart",
+        close_pulse_factor="variance of what pairs of pulses lose, over that of independent draws "
+        "of gaps as single pulses leave them; where rows lie between firings",
         late_pulse_factor="variance of what is still to be delivered when counters are read, over "
         "that of pulses at any time; where hardly a row is without firing",
         open_counter_factor="variance of on-times that rounded counters leave open, over what "

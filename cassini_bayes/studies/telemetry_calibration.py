@@ -216,6 +216,7 @@ def reduced_simulation(
         known.steps,
         known.noise,
         gaps_s=tuple(counters.gaps_s.tolist()),
+        paired_s=tuple(counters.paired_s.tolist()),
         widths_s=tuple(counters.widths_s.tolist()),
     )
     given = (known.event_id, known.kind, (samples,), known.layout, sampling)

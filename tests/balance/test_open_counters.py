@@ -13,7 +13,7 @@ from cassini_bayes.balance.open_counters import (
     step_patterns,
     step_variances,
 )
-from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
+from cassini_bayes.balance.statistics.columns import LostTails, Sampling, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array
@@ -46,6 +46,7 @@ def counters(pairs: list[float]) -> CounterStatistics:
         ratio,
         every,
         GAPS_S,
+        np.array([0.125]),
         np.zeros(0),
         0.0,
         0.0,
@@ -207,6 +208,48 @@ def test_pairs_within_a_second_lose_what_their_gaps_say(tau_fall_s: float, offse
     assert found.variance_s2[0] == pytest.approx(lost.var(), rel=0.06)
     closest = (tau_fall_s - rise_s) * np.exp(-cycle_s / tau_fall_s) / 7.0
     assert (closest < 0.6 * lost.mean()) == (tau_fall_s > 0.1 or offset_s > 0.0)
+
+
+@pytest.mark.parametrize("width_s", [0.02, 0.031, 0.045, 0.125, 0.4])
+def test_short_pulses_of_a_pair_lose_less(width_s: float) -> None:
+    """Two pulses of a first-order valve by its differential equation: what they deliver less.
+
+    Had pulses of 31 ms reached their thrust, it would be 1.6 times as much.
+    """
+    delay, rise, fall, gap = 0.005, 0.02, 0.095, 0.055
+    time = np.arange(0.0, 3.0, 1e-5)
+    is_open = (time < width_s) | ((time >= width_s + gap) & (time < 2.0 * width_s + gap))
+    opening, closing = -np.expm1(-1e-5 / rise), -np.expm1(-1e-5 / fall)
+    thrust, delivered = 0.0, 0.0
+    for own in is_open.tolist():
+        before = thrust
+        thrust += opening * (1.0 - thrust) if own else -closing * thrust
+        delivered += 0.5e-5 * (before + thrust)
+    shape = PULSE_SHAPES["first_order"]
+    lost = 2.0 * float(shape.effective_time(width_s, delay, rise, fall)) - delivered
+    sampling = Sampling(shape, (delay, rise, fall), 0.3, ((0,),), 60.0, paired_s=(width_s,))
+    tails = (sampling.cut_tail_s((delay, rise, fall)), np.array(fall - rise))
+    found, long = (
+        lost_tails(np.array([gap]), 0.125, tail[None], np.array([fall]), np.ones(1)).mean_s[0]
+        for tail in tails
+    )
+    assert found == pytest.approx(lost, rel=2e-3)
+    assert (long > 1.5 * lost) == (width_s < 0.04)
+
+
+def test_pairs_lose_by_their_widths() -> None:
+    """Of unlike pairs each loses by what its own pulses reach; on average as the event's do."""
+    delay, rise, fall = 0.005, 0.02, 0.05
+    own = np.array([0.03, 0.06, 0.25])
+    sampling = Sampling(
+        PULSE_SHAPES["first_order"], (delay, rise, fall), 0.3, ((0,),), 60.0, paired_s=(*own,)
+    )
+    reached = -np.expm1(-own / rise)
+    assert sampling.cut_by_width(own) == pytest.approx((reached / reached.mean()) ** 2)
+    alike = replace(sampling, paired_s=(0.04,))
+    assert alike.cut_by_width(np.array([0.04])) == pytest.approx([1.0])
+    longer = sampling.cut_tail_s((delay, np.array([rise, rise]), fall), np.array([0.0, 0.01]))
+    assert longer[0] < longer[1] < fall - rise
 
 
 def test_a_control_cycle_of_a_second_leaves_no_other_gaps() -> None:

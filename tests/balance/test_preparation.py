@@ -11,6 +11,7 @@ from cassini_bayes.balance.statistics.preparation import (
     begin_with_cycles,
     channel_step,
     close_gaps,
+    paired_widths,
     single_widths,
 )
 from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
@@ -60,6 +61,18 @@ def test_no_width_is_below_zero() -> None:
     expected = expected_on_times(shown, pulses, 0.1, CYCLE_S).on_time_s
     assert np.diff(expected, axis=0).min() < 0.0
     assert single_widths(expected, shown, pulses).min() == 0.0
+
+
+def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
+    """Twenty pulses of 60 ms and ten twins of 70 ms together: half of all are 35 ms, half 60."""
+    widths = np.r_[np.full(20, 0.06), np.full(10, 0.07)]
+    on_time, pulses = counted(widths)
+    twins = np.cumsum(
+        np.diff(pulses, axis=0, prepend=0.0) * (1.0 + (np.arange(91) > 60)[:, None]), axis=0
+    )
+    found = paired_widths(on_time, twins)
+    assert found == pytest.approx([0.035] * (QUANTILES // 2) + [0.06] * (QUANTILES // 2))
+    assert paired_widths(on_time[:1], twins[:1]) == ()
 
 
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
@@ -34,7 +34,7 @@ from cassini_bayes.balance.statistics.rows import (
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.spacecraft.pulses import PulseShape
+from cassini_bayes.spacecraft.pulses import LONG_S, PulseShape
 
 AXES = "xyz"
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
@@ -46,15 +46,14 @@ CUT_COLUMNS = 1 + CUT_PARTS
 # readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
-# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair, and
-# no share is more than all (the largest share is 0.6).
+# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair.
 MOST_ALIKE = 5.0 / 3.0
 MOST_ACROSS = 4.0  # pairs about a reading, of several pulses on either side
 # The slowest cosines of torque noise are unknowns: rows and turns see them alike. How many matter
 # grows with the duration (docs/topics/telemetry-likelihood.md §8).
 COSINE_S = 300.0  # of the event, for each cosine
 WALK_COSINES = 6, 16  # as few, as many: the slow band has twice as many modes
-USUAL_SHARE = 0.3  # of close pairs: the mean of the shipped priors
+USUAL_SHARE = 0.3  # of close pairs
 LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
 LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
@@ -115,7 +114,8 @@ class Sampling:
     ``noise_to_see`` are taken from the event where it shows them (:mod:`.channel_noise`).
     ``widths_s`` are what pulses of the event are like, all as likely, ``unsure_s`` how well the
     on-time of a firing is known (:class:`.PulseBasis`), and
-    ``gaps_s`` the times after which close ones follow (without, a control cycle). With a
+    ``gaps_s`` the times after which close ones follow (without, a control cycle), ``paired_s`` the
+    widths of pulses that may be close to another, all as likely. With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
     whatever is still being delivered then (:mod:`.late`).
     """
@@ -134,16 +134,47 @@ class Sampling:
     widths_s: tuple[float, ...] = ()
     unsure_s: float = 0.0
     gaps_s: tuple[float, ...] = ()
+    paired_s: tuple[float, ...] = (LONG_S,)
     block_s: float = 0.0
 
     @cached_property
     def pair_s2(self) -> float:
         """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
         gaps = np.array(self.gaps_s or (self.control_cycle_s,))
-        tail, fall = self.pulse_shape.tail_s(*self.pulse_reference_s), self.pulse_reference_s[2]
-        given = (np.array([value]) for value in (tail, fall, USUAL_SHARE))
+        cut, fall = self.cut_tail_s(self.pulse_reference_s), self.pulse_reference_s[2]
+        given = (np.array([value]) for value in (cut, fall, USUAL_SHARE))
         lost = lost_tails(gaps, self.control_cycle_s, *given)
         return max(float(lost.variance_s2[0]), LEAST_PAIR_S2)
+
+    def cut_tail_s(
+        self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
+    ) -> Array:
+        """On-time (n,), s, that a pulse loses whose successor begins as it ends.
+
+        The tail of a long one, times the thrust that the first pulse has reached and the one that
+        the second reaches: (τ_f − τ_r) (1 − exp(−Δ₁/τ_r)) (1 − exp(−Δ₂/τ_r)) of a first-order valve.
+        Both are taken at their mean over the widths of pairs.
+
+        Parameters
+        ----------
+        tau_s
+            τ_delay, τ_rise, τ_fall, each (n,) or a number.
+        offset_s
+            (n,) or a number, by how much pulses last longer than commanded.
+        """
+        delay, rise, fall = (np.asarray(value)[..., None] for value in tau_s)
+        lasts = np.maximum(np.asarray(self.paired_s) + np.asarray(offset_s)[..., None], 0.0)
+        reached = self.pulse_shape.reached(lasts, delay, rise, fall).mean(axis=-1)
+        return np.asarray(self.pulse_shape.tail_s(*tau_s) * reached**2)
+
+    def cut_by_width(self, width_s: Array) -> Array:
+        """What pairs of these widths (…) lose, over the mean of the event's, at the reference."""
+        own, every = (
+            self.pulse_shape.reached(widths, *self.pulse_reference_s)
+            for widths in (width_s, self.paired_s)
+        )
+        mean = float(np.mean(every)) ** 2
+        return np.asarray(own**2 / mean) if mean > 0.0 else np.ones_like(own)
 
     @cached_property
     def pulses(self) -> PulseBasis:
@@ -175,12 +206,12 @@ def lost_tails(
 ) -> LostTails:
     """What a pair within a second loses, that is close with the probability s.
 
-    A valve that opens again at thrust x F loses x of a pulse's tail (:meth:`.PulseShape.tail_s`;
-    τ_f − τ_r of a first-order valve), with x = exp(−gap/τ_f). A close pair has one of the gaps (m,)
+    A valve that opens again after a gap loses x = exp(−gap/τ_f) of what it loses without one
+    (:meth:`.Sampling.cut_tail_s`). A close pair has one of the gaps (m,)
     seen, any other one that is half a control cycle or more longer, up to a second, all as likely.
     A pulse that goes on for longer, by an offset, shortens the gap, and what overlaps is lost as
     well, y = offset − gap. Means and variances are those over all gaps. Gaps, the cycle and time
-    constants are in s; tails, τ_f, s and the offset are (n,).
+    constants are in s; ``tail_s`` (what is lost without a gap), τ_f, s and the offset are (n,).
     """
     fall, usual = np.maximum(fall_s, LEAST_FALL_S)[:, None], gaps_s + 0.5 * cycle_s
     tail, offset = tail_s[:, None], np.reshape(offset_s, (-1, 1))
@@ -652,18 +683,21 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
         fired[:, g] = (pulses[:, g] > 0.0) | (on_time > 0.0)
     fired_of = np.maximum(pulses, fired)
     before = np.concatenate([np.zeros_like(fired_of[:1]), fired_of[:-1]])
-    return Pairs(
-        counted.time_s[active + 1],
-        fired[active],
-        close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active]),
-        *(of_all[active] for of_all in _unlike(counted, layout, sampling)),
-    )
+    scatter, slopes, width = (of_all[active] for of_all in _of_firings(counted, layout, sampling))
+    pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active])
+    weight = pairs * sampling.cut_by_width(width)
+    return Pairs(counted.time_s[active + 1], fired[active], weight, scatter, slopes)
 
 
-def _unlike(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Array, Array]:
-    """What unlike pulses of a firing scatter (m, G, C, C), where it ends, and slopes (m, G, C)."""
+def _of_firings(
+    counted: _Counted, layout: Layout, sampling: Sampling
+) -> tuple[Array, Array, Array]:
+    """What unlike pulses of a firing scatter (m, G, C, C), where it ends, slopes (m, G, C), widths.
+
+    Widths (m, G), s, are means over the pulses of a firing, 0 without one.
+    """
     slopes = np.zeros((len(counted.pulses), len(layout.couples), len(PULSE_COLUMNS)))
-    scatter = np.zeros((*slopes.shape, len(PULSE_COLUMNS)))
+    scatter, width = np.zeros((*slopes.shape, len(PULSE_COLUMNS))), np.zeros(slopes.shape[:2])
     for g, members in enumerate(map(list, layout.couples)):
         gained, begun = (
             of_all[:, members].max(axis=1) for of_all in (counted.on_time, counted.pulses)
@@ -673,7 +707,8 @@ def _unlike(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Arra
         mean = own.seconds / own.pulses
         scatter[ends, g] = sampling.pulses.scatter(mean, own.pulses)
         slopes[own.active, g] = sampling.pulses.slopes(mean, own.pulses)[own.number]
-    return scatter, slopes
+        width[own.active, g] = np.maximum(mean, 0.0)[own.number]
+    return scatter, slopes, width
 
 
 def _cut_columns(pairs: Pairs, layout: Layout, sampling: Sampling) -> Array:

@@ -17,6 +17,7 @@ from cassini_bayes.balance.statistics.counters import (
     are_quantised,
     counter_step,
     delivered_pulses,
+    firings,
 )
 from cassini_bayes.balance.statistics.reduction import (
     COARSE_STEP_S,
@@ -117,6 +118,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     singles = single_widths(on_time, on_time, pulses)
     with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
+    paired = paired_widths(expected.on_time_s, pulses)
     widths = _typical(single_widths(expected.on_time_s, on_time, pulses))
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
@@ -141,7 +143,16 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)
-    found = Preparation(steps, noise, time, expected.rounding, gaps, widths, late)
+    found = Preparation(
+        steps,
+        noise,
+        time,
+        expected.rounding,
+        gaps,
+        paired,
+        widths,
+        late,
+    )
     return Prepared(found, time, expected.on_time_s, pulses, end_s)
 
 
@@ -161,6 +172,23 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
     alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
     return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
+
+
+def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
+    """Widths, all as likely, of pulses that may be close to another: means over firings, s.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the counters around every change.
+    """
+    found = []
+    for gained, begun in zip(np.diff(on_time_s, axis=0).T, np.diff(pulses, axis=0).T, strict=True):
+        own = firings(gained, begun)
+        found.append(np.repeat(own.seconds / own.pulses, own.pulses.astype(np.int64)))
+    every = np.maximum(np.concatenate(found), 0.0)
+    share = (np.arange(QUANTILES) + 0.5) / QUANTILES
+    return tuple(np.quantile(every, share, method="inverted_cdf").tolist()) if len(every) else ()
 
 
 def begin_with_cycles(

@@ -130,7 +130,8 @@ class CounterStatistics:
     on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
     and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`.rounded_counters.Rounding`). ``gaps_s`` (m,) are the times,
-    all as likely, from the end of a pulse to the next one of a pair that is close; ``widths_s``
+    all as likely, from the end of a pulse to the next one of a pair that is close, ``paired_s``
+    (m,) widths of pulses in pairs; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
     on-time of a firing is known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
@@ -151,6 +152,7 @@ class CounterStatistics:
     open_ratio: Array
     open_every: Array
     gaps_s: Array
+    paired_s: Array
     widths_s: Array
     unsure_s: float
     block_s: float
@@ -178,6 +180,7 @@ class CounterStatistics:
             widths_s=tuple(self.widths_s.tolist()),
             unsure_s=self.unsure_s,
             gaps_s=tuple(self.gaps_s.tolist()),
+            paired_s=tuple(self.paired_s.tolist()),
             block_s=self.block_s,
         )
 
@@ -225,6 +228,7 @@ class Preparation:
     read_s: Array = field(default_factory=lambda: np.zeros(0))  # (m,) readings around changes
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
+    paired_s: tuple[float, ...] = ()  # widths of pulses that may be close
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
     late: LateRows = LateRows()  # without rows between firings
 
@@ -370,6 +374,7 @@ def reduce_chunks(
         widths_s=prepared.widths_s,
         unsure_s=prepared.unsure_s,
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
+        paired_s=prepared.paired_s or sampling.paired_s,
         block_s=prepared.late.block_s,
     )
     carry, used, at_readings, interval = Carry.start(layout), 0, 0, 0.0
@@ -493,6 +498,7 @@ def _counter_statistics(
         ratio,
         np.array([one.every for one in by_couple]),
         np.array(sampling.gaps_s),
+        np.array(sampling.paired_s),
         np.array(sampling.widths_s),
         sampling.unsure_s,
         sampling.block_s,
