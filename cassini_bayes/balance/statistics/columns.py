@@ -152,8 +152,8 @@ class Sampling:
         """On-time (n,), s, that a pulse loses whose successor begins as it ends.
 
         The tail of a long one, times the thrust that the first pulse has reached and the one that
-        the second reaches: (τ_f − τ_r) (1 − exp(−Δ₁/τ_r)) (1 − exp(−Δ₂/τ_r)) of a first-order valve.
-        Both are taken at their mean over the widths of pairs.
+        the second reaches: (τ_f − τ_r) (1 − exp(−Δ₁/τ_r)) (1 − exp(−Δ₂/τ_r)) of a first-order
+        valve. Both are taken at their mean over the widths of pairs.
 
         Parameters
         ----------
