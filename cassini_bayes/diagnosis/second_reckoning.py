@@ -30,8 +30,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import mean_change_of_evidence
+from cassini_bayes.balance.linearised import (
+    change_of_evidence,
+    diagonal,
+    mean_change_of_evidence,
+)
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -45,6 +50,8 @@ from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, tor
 from cassini_bayes.effects.effect import Remainder, settled_for
 from cassini_bayes.priors.distributions import Distribution
 
+SLOPE_STEP: Final = 0.1  # of standard values of sizes, for slopes
+SIZES: Final = np.linspace(-3.0, 3.0, 25)  # standard values of a size that is never nothing
 NODES: Final = np.linspace(-4.0, 4.0, 97)  # standard normals, of the prior of torque noise
 
 
@@ -79,6 +86,61 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     beside = BesideMode.of(none, nuisances, innovations(none, nuisances))
     told = beside.information(effect_momentum(none, nuisances, [(cause.hypothesis, sizes[None])]))
     return float(told.vector[0] - 0.5 * told.matrix[0, 0] - 0.5 * sizes @ sizes)
+
+
+def gains_of_columns(none: Weighed[Hypothesis], causes: Sequence[Hypothesis]) -> dict[str, float]:
+    """Log evidence (nats) that causes gain in the linear model about the baseline's mode, by name.
+
+    Of a cause that is nothing in the middle of its prior what it adds goes with its sizes, by
+    slopes there: ½ hᵀ (M + 1)⁻¹ h − ½ log |1 + M|. Of any other one of one size, as a leak, it is
+    the log of the mean over that size of exp(h(z) − ½ M(z)). Others are left out.
+    """
+    base, point = none.hypothesis, none.mode.point
+    sizes = [cause.dimension - base.dimension for cause in causes]
+    at_middle = effect_momentum(
+        base, point, [(own, np.zeros((1, k))) for own, k in zip(causes, sizes, strict=True)]
+    )
+    is_there = np.any([own.any((0, 1)) for own in at_middle], axis=0)
+    values, kept = [], []
+    for cause, k, there in zip(causes, sizes, is_there, strict=True):
+        if k == 1 or not there:
+            kept.append((cause, there))
+            values.append(SIZES[:, None] if there else SLOPE_STEP * np.eye(k))
+    if not kept:
+        return {}
+    added = effect_momentum(base, point, [(c, v) for (c, _), v in zip(kept, values, strict=True)])
+    told = BesideMode.of(base, point, left_by(none)).information(added)
+    gains, ends = {}, np.cumsum([0, *map(len, values)])
+    for (cause, there), begin, end in zip(kept, ends[:-1], ends[1:], strict=True):
+        matrix, vector = told.matrix[begin:end, begin:end], told.vector[begin:end]
+        if there:
+            each = vector - 0.5 * np.diagonal(matrix) - 0.5 * SIZES**2
+            gains[cause.name] = float(logsumexp(each) - logsumexp(-0.5 * SIZES**2))
+        else:
+            own = diagonal(matrix / SLOPE_STEP**2, vector / SLOPE_STEP)
+            gains[cause.name] = float(change_of_evidence(*own, np.ones(1))[0])
+    return gains
+
+
+def named_in_columns(weighed: Sequence[Weighed[Hypothesis]]) -> float:
+    """By how much (nats) the linear model says more of some cause than its evidence does.
+
+    Of causes that act on pulses, or on nothing but the momentum, where counters have coarse steps:
+    a steady torque that the likelihood cannot tell there is, in the linear model, a lever of
+    thrusters, too. 0 at least.
+    """
+    none = next(w for w in weighed if w.name == NONE)
+    coarse = has_coarse_counters(none.hypothesis)
+    causes = [
+        w
+        for w in weighed
+        if coarse and w.is_cause and acts_on_pulses(none.hypothesis, w.hypothesis, w.mode.point)
+    ]
+    if not causes:
+        return 0.0
+    gains = gains_of_columns(none, [w.hypothesis for w in causes])
+    more = (gains[w.name] - max(w.score - none.score, 0.0) for w in causes if w.name in gains)
+    return max([0.0, *more])
 
 
 def gain_by_wander(

@@ -32,10 +32,11 @@ from scipy.special import logsumexp
 from cassini_bayes.balance.linearised import Information, mean_change_of_evidence
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import UNKNOWN, H, Weighed
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import examined, left_by, thrust_columns
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side
+from cassini_bayes.diagnosis.second_reckoning import named_in_columns
 from cassini_bayes.effects.registry import Unknown
 
 TORQUE: Final = "torque"
@@ -131,7 +132,9 @@ def with_thruster_forms(
     """Everything weighed, with all forms in the evidence of ``unknown``.
 
     Each form of three has a third of its prior probability. Those of the thrusters stand beside the
-    most probable of ``none`` and the causes, and have its evidence and prior probability.
+    most probable of ``none`` and the causes, and have its evidence and prior probability. What the
+    linear model, in which they are weighed, says of a cause and the likelihood does not is taken
+    off: it has a name (:func:`.second_reckoning.named_in_columns`).
     """
     named = [w for w in weighed if w.name != UNKNOWN]
     best = max(named, key=lambda w: w.score)
@@ -139,6 +142,9 @@ def with_thruster_forms(
         return list(weighed)
     looked_at = examined(best)
     forms = thruster_forms(looked_at, unknown)
+    if best.name == NONE and max(forms.values()) > 0.0:
+        by_name = named_in_columns([looked_at if w is best else w for w in weighed])
+        forms = {name: nats - by_name for name, nats in forms.items()}
     return [
         with_forms(w, best.score, forms) if w.name == UNKNOWN else looked_at if w is best else w
         for w in weighed
