@@ -261,7 +261,7 @@ SIZES = {
 
 @cache
 def pushed(hidden: str) -> tuple[Weighed[Hypothesis], ...]:
-    """That flight with a torque or a leak or nothing: none, these causes, and unknown behind all."""
+    """That flight with a torque, a leak or nothing: none, these causes, and unknown behind."""
     campaign = over_conditions(SEED)
     effects = [Hidden(hidden, SIZES[hidden], float("nan"))] if hidden else []
     events = campaign.scene(campaign.stream(TRIAL)).fly(effects)
