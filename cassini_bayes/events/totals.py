@@ -38,6 +38,8 @@ _COUNTED_SOURCES: Final = ("flight", "fsds", "simulation")
 """Pulses of the ground software are computed and rounded: 0 may stand beside a short on-time."""
 SHORTEST_PULSE_S: Final = 0.005
 """No valve of this kind opens for less; a mean width below it means swapped or misread columns."""
+MOST_HYDRAZINE_G_S: Final = 1_000.0
+"""Of a thruster that is open: thrusts of 2 kN; those of attitude control use half a gram."""
 _DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 
 
@@ -239,7 +241,7 @@ def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
     thrusters = spacecraft.thruster_names(branch)
     on_time = _on_times(row, spacecraft, thrusters, duration)
     delta_v, delta_v_source = _delta_v(row)
-    hydrazine = row.non_negative("hydrazine_g", "g") if row.cells["hydrazine_g"] else None
+    hydrazine = _hydrazine(row, sum(on_time)) if row.cells["hydrazine_g"] else None
     mass = row.positive("mass_kg", "kg") if row.cells["mass_kg"] else None
     predicted = row.cells["thrust_predicted_n"]
     return TotalsEvent(
@@ -260,6 +262,18 @@ def _event(row: Row, spacecraft: Spacecraft) -> TotalsEvent:
         thrust_predicted_n=row.positive("thrust_predicted_n", "N") if predicted else None,
         source=row.cells["source"],
     )
+
+
+def _hydrazine(row: Row, on_time_s: float) -> float:
+    value = row.non_negative("hydrazine_g", "g")
+    if value > MOST_HYDRAZINE_G_S * on_time_s:
+        raise row.refuse(
+            "hydrazine_g",
+            f"at most {MOST_HYDRAZINE_G_S:g} g for each second of on-time",
+            "check the unit (g, not mg) and the on-times",
+            f"{value:g} g in {on_time_s:g} s",
+        )
+    return value
 
 
 def _epoch(row: Row) -> datetime:

@@ -21,6 +21,10 @@ from cassini_bayes.pipeline.run_file import RunFile
 
 DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
 """Modules whose code, with all that they import, the draws of a run depend on."""
+MOST_NAMED: Final = 4
+"""Changes that a refusal names."""
+OF_OUTPUT: Final = ("output.folder", "output.prior_draws", "output.report")
+"""Settings that no draw depends on."""
 LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz", "xarray", "h5netcdf", "pandas", "corner")
 
 
@@ -127,8 +131,19 @@ def read_provenance(path: Path) -> Provenance:
         ) from error
 
 
-def refuse_other_run(path: Path, identity: str) -> None:
+def refuse_other_run(
+    path: Path, now: Provenance, began_with: Mapping[str, Any], settings: Mapping[str, Any]
+) -> None:
     """Refuse to resume what began with other inputs; without a readable record, blocks decide.
+
+    Parameters
+    ----------
+    path
+        The record of the run that is to go on.
+    now
+        That of the one that wants to.
+    began_with, settings
+        Their resolved settings, which name what was changed; ``began_with`` may be empty.
 
     Raises
     ------
@@ -136,16 +151,51 @@ def refuse_other_run(path: Path, identity: str) -> None:
         The record at ``path`` is of a run with another identity.
     """
     try:
-        earlier = read_json(path, "the record of a run")["identity"]
+        earlier = read_json(path, "the record of a run")
+        if earlier["identity"] == now.identity:
+            return
     except (InputError, KeyError):
         return
-    if earlier != identity:
-        raise InputError(
-            str(path),
-            "the events, priors, settings and versions that this run began with",
-            "others",
-            "undo the change and use --resume, or start anew with --force",
-        )
+    changed = [*_changed(began_with, settings), *_changed_record(earlier, now)]
+    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
+    raise InputError(
+        str(path),
+        "the events, priors, settings and versions that this run began with",
+        f"others: {', '.join(changed[:MOST_NAMED])}{more}" if changed else "other code",
+        "undo the change and use --resume, or start anew with --force",
+    )
+
+
+def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """Settings that differ, each with what it was, by dotted names; all tables, no outputs."""
+    if not before:
+        return []
+    old, new = (_flat(table) for table in (before, after))
+    names = [name for name in {**new, **old} if name not in OF_OUTPUT]
+    return [
+        f"{name} = {new.get(name, 'not given')} (was {old.get(name, 'not given')})"
+        for name in names
+        if old.get(name) != new.get(name)
+    ]
+
+
+def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key, value in table.items():
+        inner = isinstance(value, Mapping)
+        result.update(_flat(value, f"{before}{key}.") if inner else {f"{before}{key}": value})
+    return result
+
+
+def _changed_record(earlier: Mapping[str, Any], now: Provenance) -> list[str]:
+    """Files whose content is another, and libraries of another version."""
+    digests, versions = earlier.get("sha256", {}), earlier.get("versions", {})
+    files = [name for name, own in now.digests.items() if digests.get(name, own) != own]
+    return [f"the content of {name}" for name in files] + [
+        f"{name} {own} (was {versions[name]})"
+        for name, own in now.versions.items()
+        if versions.get(name, own) != own
+    ]
 
 
 def library_versions() -> dict[str, str]:

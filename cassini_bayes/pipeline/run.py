@@ -23,6 +23,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
@@ -38,6 +39,7 @@ from cassini_bayes.sampling.ensembles import MAX_RHAT, ProgressReport
 
 CHECKPOINT: Final = "checkpoint"
 PROVENANCE: Final = "provenance.json"
+RESOLVED: Final = "resolved.toml"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,
@@ -47,7 +49,7 @@ WRITTEN: Final = (
     "tables",
     "figures",
     "report.html",
-    "resolved.toml",  # last: it makes a folder a run, so a removal cut short can be done again
+    RESOLVED,  # last: it makes a folder a run, so a removal cut short can be done again
 )
 """What a run writes into its folder: all that ``--force`` removes."""
 
@@ -158,6 +160,14 @@ def prepare_folder(
         ) from error
 
 
+def _began_with(path: Path) -> Mapping[str, Any]:
+    """Settings that a folder says it is of; none where it cannot be read."""
+    try:
+        return read_toml(path, "the settings of a run")
+    except InputError:
+        return {}
+
+
 def open_folder(
     folder: Path, settings: Mapping[str, Any], provenance: Provenance, *, resume: bool, **how: Any
 ) -> CheckpointStore:
@@ -170,9 +180,9 @@ def open_folder(
     """
     kept = folder / PROVENANCE
     if resume:
-        refuse_other_run(kept, provenance.identity)
+        refuse_other_run(kept, provenance, _began_with(folder / RESOLVED), settings)
     prepare_folder(folder, resume=resume, **how)
-    write_text(folder / "resolved.toml", tomli_w.dumps(settings))
+    write_text(folder / RESOLVED, tomli_w.dumps(settings))
     if not kept.exists():
         write_text(kept, provenance.as_json() + "\n")
     return CheckpointStore(folder / CHECKPOINT, provenance.identity)

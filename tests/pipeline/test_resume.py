@@ -131,5 +131,6 @@ def test_what_changed_is_not_resumed(
     error = capfd.readouterr().err
     assert error.count("\n") == 1
     assert "provenance.json" in error
+    assert "got others: source = fsds (was flight);" in error
     assert "--force" in error
     assert (tmp_path / "small" / "resolved.toml").read_bytes() == resolved
