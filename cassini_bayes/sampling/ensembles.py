@@ -124,7 +124,10 @@ class Chains:
 
 @dataclass(frozen=True)
 class ProgressReport:
-    """What a progress line says; the time left is NaN before anything was sampled afresh."""
+    """What a progress line says; the time left is NaN before anything was sampled afresh.
+
+    ``steps_left`` are those until the stop rule may hold, or until it gives up.
+    """
 
     step: int
     steps_left: int
@@ -265,7 +268,7 @@ def sample(
             fresh_seconds += time.monotonic() - began
         if progress:
             per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
-            left = convergence.steps_left
+            left = min(convergence.steps_left, settings.max_steps - step)
             progress(ProgressReport(step, left, left * per_step, convergence.failed))
         chains = Chains(
             z, np.concatenate(densities, axis=1), accepted / (step * walkers), convergence

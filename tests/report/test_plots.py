@@ -23,6 +23,7 @@ from cassini_bayes.report import figures_of, sections_of
 from cassini_bayes.report.plots import Figure, encode, encoded, is_corner, save_figures
 from cassini_bayes.report.plots.checks import balance_figure
 from cassini_bayes.report.plots.corners import corner_figure
+from cassini_bayes.report.plots.criticism import MOST_NATS_LABELLED, nats_to_label
 from cassini_bayes.report.plots.powers import plain
 from cassini_bayes.report.plots.quantities import (
     decimals_for,
@@ -419,3 +420,27 @@ def test_units_and_names_for_people() -> None:
     assert short_events(["2009-08-22-bias", "2010-02-13-bias"]) == ["2009-08-22", "2010-02-13"]
     assert short_events(["a-very-long-event-name"]) == ["a-very-long-e…"]
     assert short_events(["same"]) == ["same"]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "labelled"),
+    [
+        (-5.9, 33.0, [-5.0, 0.0, 5.0, 10.0, 20.0]),
+        (-12.0, 20_000.0, [-10.0, 0.0, 10.0, 100.0, 1_000.0, 10_000.0]),
+        (-0.4, 11.0, [0.0, 5.0, 10.0]),
+    ],
+)
+def test_nats_have_more_labels_than_zero_and_ten(
+    low: float, high: float, labelled: list[float]
+) -> None:
+    """As many of 1, 2 and 5 as there is room for, and powers where there is not."""
+    assert nats_to_label(low, high) == labelled
+
+
+def test_labels_of_nats_do_not_run_into_each_other() -> None:
+    """Six at most, up to a million either way, and always zero."""
+    for high in np.geomspace(11.0, 1e6, 40):
+        for low in (-0.1 * high, -high):
+            ticks = nats_to_label(low, high)
+            assert 0.0 in ticks
+            assert 2 <= len(ticks) <= MOST_NATS_LABELLED

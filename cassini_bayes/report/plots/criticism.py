@@ -21,7 +21,6 @@ from cassini_bayes.diagnosis.correlations import (
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.report.plots.panels import axis_panels
-from cassini_bayes.report.plots.powers import label_powers
 from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
@@ -33,6 +32,7 @@ from cassini_bayes.report.plots.style import (
 )
 
 MOST_CAUSES: Final = 12  # bars that fit one column
+MOST_NATS_LABELLED: Final = 6  # more of them run into each other
 LINEAR_NATS: Final = 10.0  # up to which the axis of log Bayes factors is linear
 UNSEEN: Final = 0.005  # a probability whose bar is too short to be seen
 EXTENDED: Final = "#d95f02"
@@ -209,11 +209,28 @@ def cause_figure(causes: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def evidence_axis(axes: Axes, *, far: bool) -> None:
-    """Log Bayes factors along x, logarithmic beyond ten nats where some are that ``far``."""
+    """Log Bayes factors along x, logarithmic beyond ten nats where some are that ``far``.
+
+    After everything is drawn: what is labelled depends on how far the axis goes.
+    """
     if far:
         axes.set_xscale("symlog", linthresh=LINEAR_NATS)
-        label_powers(axes.xaxis)
+        ticks = nats_to_label(*axes.get_xlim())
+        axes.set_xticks(ticks, [f"{tick:,.0f}".replace("-", "−") for tick in ticks])
+        axes.set_xticks([], minor=True)
     axes.set_xlabel("log Bayes factor against none (nats)")
+
+
+def nats_to_label(low: float, high: float) -> list[float]:
+    """Nats to label between two: 0, ±5, ±10, ±20, ±50, …, or powers alone where these are many."""
+    powers = 10.0 ** np.arange(1, int(np.log10(max(-low, high, LINEAR_NATS))) + 1)
+    beyond = np.outer(powers, (1.0, 2.0, 5.0)).ravel()
+    for sizes in (np.r_[5.0, beyond], *(powers[::-every] for every in range(1, 5))):
+        ticks = np.sort(np.concatenate([-sizes, [0.0], sizes]))
+        within = ticks[(ticks >= low) & (ticks <= high)]
+        if len(within) <= MOST_NATS_LABELLED:
+            break
+    return [float(tick) for tick in within]
 
 
 def width_figure(probability: pd.DataFrame, most: int = 7) -> Figure:
