@@ -320,11 +320,11 @@ def plain_rows(
                 usual = min(1.0, 1.0 / length)  # of two pulses; three are 1.5 times as close
                 within = min(usual * max(started / 2.0, 1.0), 5.0 / 3.0) * max(started - 1, 0)
                 number = within + usual * min(started * before[g], 4.0) / 6.0
-                number *= reached.get((i, g), 0.0)
-                cuts[g] += number
+                lose = reached.get((i, g), 0.0)
+                cuts[g] += number * lose
                 before[g] = max(started, float(gained > 0))
                 if number > 0:
-                    rows.pairs.append((float(time), g, number))
+                    rows.pairs.append((float(time), g, number * lose**2))
                 if before[g]:
                     rows.shots.append((float(time), g))
         if thrusters and not is_quiet(samples, i, sampling.guard_s):

@@ -18,6 +18,9 @@ taken beside the baseline's mode and beside that of ``unknown``, and the larger 
 baseline that bent may have taken up what is there. Where the likelihood says more than that, the
 lesser counts.
 
+What the same model says of a steady torque, or of a leak, beyond its evidence is no lever of
+thrusters (:func:`named_in_columns`).
+
 ``unknown`` is reckoned again with any counters. Of causes it is those of pulses where counters have
 coarse steps: what inertia, wheels and gyro add is made of the channels, whose noise is smoothed in
 the linear model.
@@ -37,6 +40,7 @@ from cassini_bayes.balance.linearised import (
     diagonal,
     mean_change_of_evidence,
 )
+from cassini_bayes.balance.physics import Physics
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -50,8 +54,7 @@ from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side, tor
 from cassini_bayes.effects.effect import Remainder, settled_for
 from cassini_bayes.priors.distributions import Distribution
 
-SLOPE_STEP: Final = 0.1  # of standard values of sizes, for slopes
-SIZES: Final = np.linspace(-3.0, 3.0, 25)  # standard values of a size that is never nothing
+LEAKS: Final = np.linspace(-6.0, 6.0, 1_201)  # standard values of a size that is never nothing
 NODES: Final = np.linspace(-4.0, 4.0, 97)  # standard normals, of the prior of torque noise
 
 
@@ -88,59 +91,90 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
     return float(told.vector[0] - 0.5 * told.matrix[0, 0] - 0.5 * sizes @ sizes)
 
 
-def gains_of_columns(none: Weighed[Hypothesis], causes: Sequence[Hypothesis]) -> dict[str, float]:
-    """Log evidence (nats) that causes gain in the linear model about the baseline's mode, by name.
+def acts_between_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
+    """Whether a cause leaves pulses, body, wheels and gyro as they are: a torque that is steady."""
+    before = none.model.points(point[None, : none.dimension])
+    after = cause.model.points(point[None])
+    return acts_on_pulses(none, cause, point) and all(
+        np.allclose(one, two)
+        for a, b in zip(none.model.telemetry, cause.model.telemetry, strict=True)
+        for one, two in zip(
+            _of_pulses(a.physics(before)), _of_pulses(b.physics(after)), strict=True
+        )
+    )
 
-    Of a cause that is nothing in the middle of its prior what it adds goes with its sizes, by
-    slopes there: ½ hᵀ (M + 1)⁻¹ h − ½ log |1 + M|. Of any other one of one size, as a leak, it is
-    the log of the mean over that size of exp(h(z) − ½ M(z)). Others are left out.
+
+def _of_pulses(physics: Physics) -> tuple[Array | float, ...]:
+    """All by which pulses give momentum."""
+    factors = (physics.thrust_factor, physics.impulse_offset_s, physics.close_share)
+    return (physics.arms_m, *physics.tau_s, *factors)
+
+
+def gains_of_columns(none: Weighed[Hypothesis], causes: Sequence[Hypothesis]) -> dict[str, float]:
+    """Log evidence (nats) that steady torques gain in the linear model about the baseline's mode.
+
+    Their momentum is linear in their sizes, which have their priors. Of sizes that are nothing in
+    the middle, as those of a torque, it is ½ hᵀ (M + 1)⁻¹ h − ½ log |1 + M|. Of one that never is,
+    as a leak's, with the ratio ρ(z) to that in the middle, it is the log of the mean over z of
+    exp(ρ h − ½ ρ² M).
+
+    Parameters
+    ----------
+    none
+        The baseline with its mode.
+    causes
+        Of :func:`acts_between_pulses`, by whose names the result is.
     """
     base, point = none.hypothesis, none.mode.point
-    sizes = [cause.dimension - base.dimension for cause in causes]
-    at_middle = effect_momentum(
-        base, point, [(own, np.zeros((1, k))) for own, k in zip(causes, sizes, strict=True)]
-    )
-    is_there = np.any([own.any((0, 1)) for own in at_middle], axis=0)
-    values, kept = [], []
-    for cause, k, there in zip(causes, sizes, is_there, strict=True):
-        if k == 1 or not there:
-            kept.append((cause, there))
-            values.append(SIZES[:, None] if there else SLOPE_STEP * np.eye(k))
-    if not kept:
-        return {}
-    added = effect_momentum(base, point, [(c, v) for (c, _), v in zip(kept, values, strict=True)])
+    ratios = [_ratios(cause) for cause in causes]
+    values = [
+        np.eye(cause.dimension - base.dimension) if ratio is None else np.zeros((1, 1))
+        for cause, ratio in zip(causes, ratios, strict=True)
+    ]
+    added = effect_momentum(base, point, list(zip(causes, values, strict=True)))
     told = BesideMode.of(base, point, left_by(none)).information(added)
     gains, ends = {}, np.cumsum([0, *map(len, values)])
-    for (cause, there), begin, end in zip(kept, ends[:-1], ends[1:], strict=True):
+    for cause, ratio, begin, end in zip(causes, ratios, ends[:-1], ends[1:], strict=True):
         matrix, vector = told.matrix[begin:end, begin:end], told.vector[begin:end]
-        if there:
-            each = vector - 0.5 * np.diagonal(matrix) - 0.5 * SIZES**2
-            gains[cause.name] = float(logsumexp(each) - logsumexp(-0.5 * SIZES**2))
+        if ratio is None:
+            change = change_of_evidence(*diagonal(matrix, vector), np.ones(1))
+            gains[cause.name] = float(change[0])
         else:
-            own = diagonal(matrix / SLOPE_STEP**2, vector / SLOPE_STEP)
-            gains[cause.name] = float(change_of_evidence(*own, np.ones(1))[0])
+            each = ratio * vector[0] - 0.5 * ratio**2 * matrix[0, 0] - 0.5 * LEAKS**2
+            gains[cause.name] = float(logsumexp(each) - logsumexp(-0.5 * LEAKS**2))
     return gains
 
 
-def named_in_columns(weighed: Sequence[Weighed[Hypothesis]]) -> float:
-    """By how much (nats) the linear model says more of some cause than its evidence does.
+def _ratios(cause: Hypothesis) -> Array | None:
+    """Sizes at :data:`LEAKS` over that in the middle; None of several, or of nothing there."""
+    sizes = [own.distribution for effect in cause.effects for own in effect.parameters]
+    middle = sizes[0].quantile_of_standard(np.zeros(1))
+    if len(sizes) > 1 or not middle.all():
+        return None
+    return np.asarray(sizes[0].quantile_of_standard(LEAKS) / middle)
 
-    Of causes that act on pulses, or on nothing but the momentum, where counters have coarse steps:
-    a steady torque that the likelihood cannot tell there is, in the linear model, a lever of
-    thrusters, too. 0 at least.
+
+def named_in_columns(weighed: Sequence[Weighed[Hypothesis]]) -> float:
+    """By how much (nats) the linear model says more of a steady torque than its evidence does.
+
+    Where counters have coarse steps the likelihood may not tell one that is, in the linear model, a
+    lever of thrusters, too. 0 at least, and with totals rows beside telemetry.
     """
     none = next(w for w in weighed if w.name == NONE)
-    coarse = has_coarse_counters(none.hypothesis)
+    coarse = has_coarse_counters(none.hypothesis) and not none.hypothesis.model.totals
     causes = [
         w
         for w in weighed
-        if coarse and w.is_cause and acts_on_pulses(none.hypothesis, w.hypothesis, w.mode.point)
+        if coarse
+        and w.is_cause
+        and acts_between_pulses(none.hypothesis, w.hypothesis, w.mode.point)
     ]
     if not causes:
         return 0.0
     gains = gains_of_columns(none, [w.hypothesis for w in causes])
-    more = (gains[w.name] - max(w.score - none.score, 0.0) for w in causes if w.name in gains)
-    return max([0.0, *more])
+    told = (w.net_evidence - none.net_evidence for w in causes)
+    more = (gains[w.name] - max(nats, 0.0) for w, nats in zip(causes, told, strict=True))
+    return max(0.0, *more)
 
 
 def gain_by_wander(

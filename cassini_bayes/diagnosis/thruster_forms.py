@@ -132,9 +132,9 @@ def with_thruster_forms(
     """Everything weighed, with all forms in the evidence of ``unknown``.
 
     Each form of three has a third of its prior probability. Those of the thrusters stand beside the
-    most probable of ``none`` and the causes, and have its evidence and prior probability. What the
-    linear model, in which they are weighed, says of a cause and the likelihood does not is taken
-    off: it has a name (:func:`.second_reckoning.named_in_columns`).
+    most probable of ``none`` and the causes, and have its evidence and prior probability. Beside
+    ``none`` what the linear model, in which they are weighed, says of a steady torque beyond its
+    evidence is taken off: it has a name (:func:`.second_reckoning.named_in_columns`).
     """
     named = [w for w in weighed if w.name != UNKNOWN]
     best = max(named, key=lambda w: w.score)

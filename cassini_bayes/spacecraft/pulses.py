@@ -80,7 +80,7 @@ class PulseShape:
 
     def tail_s(self, tau_delay_s: ArrayLike, tau_rise_s: ArrayLike, tau_fall_s: ArrayLike) -> Array:
         """On-time that a long pulse delivers beyond its width, in s: what an early command cuts."""
-        return self.effective_time(LONG_S, tau_delay_s, tau_rise_s, tau_fall_s) - LONG_S
+        return self.effective_time(STEADY_S, tau_delay_s, tau_rise_s, tau_fall_s) - STEADY_S
 
     def reached(
         self,
@@ -91,7 +91,8 @@ class PulseShape:
     ) -> Array:
         """Thrust over steady thrust as the tail of a pulse begins: 1 − exp(−Δ/τ_r) of first order.
 
-        The arguments broadcast against each other; the result has their common shape.
+        0 of a rectangular one, which has no tail. The arguments broadcast against each other; the
+        result has their common shape.
         """
         begins = np.asarray(width_s) + np.asarray(tau_delay_s)
         return self.thrust_fraction(begins, width_s, tau_delay_s, tau_rise_s, tau_fall_s)
@@ -101,7 +102,7 @@ def _floats(*values: ArrayLike) -> tuple[Array, ...]:
     return tuple(np.asarray(value, dtype=np.float64) for value in values)
 
 
-LONG_S: Final = 60.0
+STEADY_S: Final = 60.0
 """Width of a pulse whose thrust is steady, whatever the time constants."""
 # Below any time constant that means something, above what would overflow a quotient.
 _NO_TIME_S: Final = 1e-200

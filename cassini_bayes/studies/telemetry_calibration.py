@@ -27,7 +27,7 @@ from cassini_bayes.model.posterior import Model, build_model, log_posterior, sha
 from cassini_bayes.model.telemetry import telemetry_parameters
 from cassini_bayes.model.terms import TORQUE
 from cassini_bayes.priors.distributions import Distribution
-from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.priors.reader import OF_CONTROLLERS, Priors, read_priors
 from cassini_bayes.results.ranks import rank
 from cassini_bayes.simulation import SimulatedEvent, scenario_of
 from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
@@ -110,8 +110,8 @@ class TelemetryCampaign(Repeated):
         priors = self.priors()
         thrusters = priors.spacecraft.thruster_names(priors.branch)
         fires = any(_fires(event) for event in self.variant.events)
-        # how often pulses are close is what the controller did: no parameter of the truth
-        walked = [name for name in _walked(priors, fires=fires) if name != CLOSE_SHARE]
+        # how often pulses are close, and how alike, is what the controller did: no truth has it
+        walked = [name for name in _walked(priors, fires=fires) if name not in OF_CONTROLLERS]
         thrusts = [
             f"thrust_n[{event},{thruster}]"
             for event in self.variant.events

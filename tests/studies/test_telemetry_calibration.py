@@ -10,6 +10,7 @@ import pytest
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.posterior import Model
+from cassini_bayes.priors.reader import OF_CONTROLLERS
 from cassini_bayes.results.ranks import Ranks
 from cassini_bayes.studies import telemetry_calibration
 from cassini_bayes.studies.telemetry_calibration import (
@@ -68,7 +69,7 @@ def test_names_are_those_of_draws_and_truth() -> None:
     truth = flat_truth(simulation)
     assert set(joint.names()) <= set(drawn)
     assert set(joint.names()) <= set(truth)
-    assert set(model.space.names) - {"close_pulse_share"} <= set(joint.names())
+    assert set(model.space.names) - set(OF_CONTROLLERS) <= set(joint.names())
 
 
 def test_variants_change_what_they_say() -> None:

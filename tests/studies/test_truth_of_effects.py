@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 from cassini_bayes.studies.conditions import Condition
 
 ROOT = Path(__file__).parents[2]
-SHARES = np.linspace(-2.0, 2.0, 9)  # of close pulses, standard normals: it has no truth
+FREE = np.linspace(-2.0, 2.0, 9)  # standard normals, of what controllers do: it has no truth
 SHORT_PULSES = Condition(
     craft="B branch",
     events="one bias",
@@ -84,7 +85,10 @@ def lacking(events: Events, name: str, size: Mapping[str, float]) -> tuple[float
     hypothesis = compact(extend(none_hypothesis(events), [effect]))
     space = hypothesis.model.space
     known = space.to_standard({key: truth.get(key, np.nan) for key in space.names})
-    points = np.where(np.isfinite(known), known, SHARES[:, None])
+    without = np.flatnonzero(~np.isfinite(known))
+    grid = np.array(list(product(FREE, repeat=len(without))))
+    points = np.tile(known, (len(grid), 1))
+    points[:, without] = grid
     values = hypothesis.log_density(points)
     best = points[int(values.argmax())]
     starts = np.concatenate([best[None], hypothesis.model.starts])

@@ -34,7 +34,7 @@ from cassini_bayes.balance.statistics.rows import (
 from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.spacecraft.pulses import LONG_S, PulseShape
+from cassini_bayes.spacecraft.pulses import STEADY_S, PulseShape
 
 AXES = "xyz"
 CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
@@ -46,7 +46,8 @@ CUT_COLUMNS = 1 + CUT_PARTS
 # readings (docs/topics/telemetry-likelihood.md §7).
 ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
 ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
-# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair.
+# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair. With
+# a share near 1 more of them lose than there are; the share is then smaller.
 MOST_ALIKE = 5.0 / 3.0
 MOST_ACROSS = 4.0  # pairs about a reading, of several pulses on either side
 # The slowest cosines of torque noise are unknowns: rows and turns see them alike. How many matter
@@ -115,7 +116,7 @@ class Sampling:
     ``widths_s`` are what pulses of the event are like, all as likely, ``unsure_s`` how well the
     on-time of a firing is known (:class:`.PulseBasis`), and
     ``gaps_s`` the times after which close ones follow (without, a control cycle), ``paired_s`` the
-    widths of pulses that may be close to another, all as likely. With a
+    widths of pulses, means over firings, all as likely (without, pulses of steady thrust). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
     whatever is still being delivered then (:mod:`.late`).
     """
@@ -134,7 +135,7 @@ class Sampling:
     widths_s: tuple[float, ...] = ()
     unsure_s: float = 0.0
     gaps_s: tuple[float, ...] = ()
-    paired_s: tuple[float, ...] = (LONG_S,)
+    paired_s: tuple[float, ...] = (STEADY_S,)
     block_s: float = 0.0
 
     @cached_property
@@ -149,7 +150,7 @@ class Sampling:
     def cut_tail_s(
         self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
     ) -> Array:
-        """On-time (n,), s, that a pulse loses whose successor begins as it ends.
+        """On-time (n,), or one of numbers, s, that a pulse loses whose successor begins as it ends.
 
         The tail of a long one, times the thrust that the first pulse has reached and the one that
         the second reaches: (τ_f − τ_r) (1 − exp(−Δ₁/τ_r)) (1 − exp(−Δ₂/τ_r)) of a first-order
@@ -168,7 +169,10 @@ class Sampling:
         return np.asarray(self.pulse_shape.tail_s(*tau_s) * reached**2)
 
     def cut_by_width(self, width_s: Array) -> Array:
-        """What pairs of these widths (…) lose, over the mean of the event's, at the reference."""
+        """What pairs of these widths (…) lose over those of the event's, at the reference: ρ²/ρ̄².
+
+        ρ is the thrust that a pulse reaches, ρ̄ its mean over ``paired_s``.
+        """
         own, every = (
             self.pulse_shape.reached(widths, *self.pulse_reference_s)
             for widths in (width_s, self.paired_s)
@@ -339,7 +343,9 @@ class Pairs:
     """Pairs of pulses that may be close together, by counter interval (m,) and couple (G,).
 
     Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
-    each by how often it is close against one of two pulses within a second. ``fired`` (m, G) tells
+    each by how often it is close against one of two pulses within a second, and by what it loses
+    against one of the event's mean widths; ``square`` (m, G) the same with the square of that, for
+    variances. ``fired`` (m, G) tells
     which couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
     columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s², and ``slopes``
     (m, G, C) what they gain per on-time (:meth:`.PulseBasis.slopes`).
@@ -348,12 +354,13 @@ class Pairs:
     end_s: Array
     fired: NDArray[np.bool_]
     weight: Array
+    square: Array
     unlike: Array
     slopes: Array
 
     def steps(self, pair_s2: float) -> Array:
         """Variance (m, G) of what intervals gain beyond what is expected, over that of a pair."""
-        return np.asarray(self.weight + self.unlike[..., 0, 0] / pair_s2)
+        return np.asarray(self.square + self.unlike[..., 0, 0] / pair_s2)
 
     @staticmethod
     def joined(parts: Sequence[Pairs]) -> Pairs:
@@ -395,7 +402,7 @@ class Carry:
         none = np.zeros((0, len(layout.couples)))
         slopes = np.zeros((*none.shape, len(PULSE_COLUMNS)))
         unlike = np.zeros((*slopes.shape, len(PULSE_COLUMNS)))
-        pairs = Pairs(np.zeros(0), none > 0.0, none, unlike, slopes)
+        pairs = Pairs(np.zeros(0), none > 0.0, none, none, unlike, slopes)
         return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
 
 
@@ -685,8 +692,9 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
     before = np.concatenate([np.zeros_like(fired_of[:1]), fired_of[:-1]])
     scatter, slopes, width = (of_all[active] for of_all in _of_firings(counted, layout, sampling))
     pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active])
-    weight = pairs * sampling.cut_by_width(width)
-    return Pairs(counted.time_s[active + 1], fired[active], weight, scatter, slopes)
+    lose = sampling.cut_by_width(width)
+    end_s, own = counted.time_s[active + 1], fired[active]
+    return Pairs(end_s, own, pairs * lose, pairs * lose**2, scatter, slopes)
 
 
 def _of_firings(

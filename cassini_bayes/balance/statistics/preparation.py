@@ -175,14 +175,14 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
 
 
 def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
-    """Widths, all as likely, of pulses that may be close to another: means over firings, s.
+    """Widths of an event's pulses, each the mean of its firing, as quantiles, s; none without any.
 
     Parameters
     ----------
     on_time_s, pulses
         (m, K) readings of the counters around every change.
     """
-    found = []
+    found = [np.zeros(0)]
     for gained, begun in zip(np.diff(on_time_s, axis=0).T, np.diff(pulses, axis=0).T, strict=True):
         own = firings(gained, begun)
         found.append(np.repeat(own.seconds / own.pulses, own.pulses.astype(np.int64)))

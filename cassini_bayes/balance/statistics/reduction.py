@@ -125,7 +125,8 @@ class CounterStatistics:
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
     ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
-    (R, G) the pairs in them that may be close, ``unlike`` (R, G, C, C) what unlike pulses scatter,
+    (R, G) the pairs in them that may be close, by what they scatter, ``unlike`` (R, G, C, C) what
+    unlike pulses scatter,
     ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
     on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
     and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
@@ -490,7 +491,7 @@ def _counter_statistics(
         times.stride,
         pairs.end_s,
         pairs.fired,
-        pairs.weight,
+        pairs.square,
         pairs.unlike,
         steps,
         pairs.slopes,
@@ -524,7 +525,8 @@ def _joined(
     """
     quarter = quarter_of(pairs.end_s, duration_s)
     fired, steps, ratio = pairs.fired.copy(), steps.copy(), ratio.copy()
-    weight, unlike, slopes = pairs.weight.copy(), pairs.unlike.copy(), pairs.slopes.copy()
+    weight, square = pairs.weight.copy(), pairs.square.copy()
+    unlike, slopes = pairs.unlike.copy(), pairs.slopes.copy()
     for g in range(fired.shape[1]):
         own = np.flatnonzero(fired[:, g] | (steps[:, g] > 0.0))
         every = -(-len(own) // most)
@@ -533,7 +535,7 @@ def _joined(
         number = np.arange(len(own)) - np.searchsorted(quarter[own], quarter[own])
         starts = np.flatnonzero(number % every == 0)
         first, firings = own[starts], np.add.reduceat(fired[own, g].astype(np.float64), starts)
-        for each in (weight, unlike, steps, ratio, slopes):
+        for each in (weight, square, unlike, steps, ratio, slopes):
             together = np.add.reduceat(each[own, g], starts, axis=0)
             each[own, g] = 0.0
             each[first, g] = together
@@ -542,7 +544,7 @@ def _joined(
         fired[first, g] = firings > 0.0
     kept = np.flatnonzero(fired.any(axis=1) | (steps > 0.0).any(axis=1))
     end_s, fired = pairs.end_s[kept], fired[kept]
-    joined = Pairs(end_s, fired, weight[kept], unlike[kept], slopes[kept])
+    joined = Pairs(end_s, fired, weight[kept], square[kept], unlike[kept], slopes[kept])
     return joined, steps[kept], ratio[kept]
 
 
