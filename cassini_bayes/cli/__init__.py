@@ -35,6 +35,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+NOT_FINITE = "array must not contain infs or NaNs"
+"""What scipy says of arithmetic that broke down, as a plain ``ValueError``."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it; typer turns the interrupt into it."""
 
@@ -91,10 +93,11 @@ def main() -> None:
         sys.exit(2)
     except (OverflowError, ValueError) as error:
         # numpy's error by name: it is imported by the commands that need it
-        if not isinstance(error, OverflowError) and type(error).__name__ != "LinAlgError":
+        names = ("OverflowError", "LinAlgError")
+        if type(error).__name__ not in names and NOT_FINITE not in str(error):
             raise
-        reason = "a prior or a value is far out of range: compare units and sizes with the data"
-        _print_error(f"the arithmetic came to no end ({error}); {reason}")
+        reason = "a prior or a value may be far out of range: compare units and sizes with the data"
+        _print_error(f"the arithmetic broke down ({error}); {reason}")
         sys.exit(2)
     except SystemError as error:
         if not _is_interrupt(error):

@@ -445,9 +445,10 @@ def _read_fixed(where: str, spec: ParameterSpec, table: Mapping[str, object]) ->
             raise InputError(f"{where}.{key}", expected, repr(key), hint)
     value = finite_number(f"{where}.fixed", table["fixed"], spec.unit)
     _check_centre(f"{where}.fixed", spec, value)
-    if (_never_negative(spec) or spec.name in _PUSHING) and value < 0:
+    least = "a value above 0" if spec.name in _PUSHING else "a value of 0 or more"
+    if (_never_negative(spec) and value < 0) or (spec.name in _PUSHING and value <= 0):
         fix = f"{spec.meaning}: check the sign"
-        raise InputError(f"{where}.fixed", "a value of 0 or more", repr(value), fix)
+        raise InputError(f"{where}.fixed", least, repr(value), fix)
     return value
 
 

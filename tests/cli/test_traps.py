@@ -50,7 +50,7 @@ def test_arithmetic_that_breaks_down_is_one_line(capsys: Captured, tmp_path: Pat
     path = tmp_path / "priors.toml"
     path.write_text(text, encoding="utf-8")
     error = refused(capsys, "check", f"{FLIGHT}:{EVENTS[0]}", "--priors", str(path))
-    assert error.startswith("error: the arithmetic came to no end")
+    assert error.startswith("error: the arithmetic broke down")
     assert error.count("\n") == 1
     assert "out of range" in error
 

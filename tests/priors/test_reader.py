@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -98,11 +99,18 @@ def test_reading_keeps_what_the_file_says(tmp_path: Path) -> None:
     assert priors.digest == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-@pytest.mark.parametrize("value", ['dist = "norm"\nloc = -0.76\nscale = 0.05', "fixed = -0.76"])
-def test_a_thrust_that_pulls_is_refused(tmp_path: Path, value: str) -> None:
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ('dist = "norm"\nloc = -0.76\nscale = 0.05', "-0.76"),
+        ("fixed = -0.76", "-0.76"),
+        ("fixed = 0.0", "a value above 0, got 0.0"),
+    ],
+)
+def test_a_thrust_that_does_not_push_is_refused(tmp_path: Path, value: str, said: str) -> None:
     """Its sign is that of the direction in the spacecraft file; the reader blames no counter."""
     table = f'\n[parameters.thrust_common_n]\n{value}\nunit = "N"\nsource = "x"\n'
-    with pytest.raises(InputError, match=r"parameters\.thrust_common_n.*-0\.76"):
+    with pytest.raises(InputError, match=rf"parameters\.thrust_common_n.*{re.escape(said)}"):
         read_priors(write(tmp_path, TEXT + table))
 
 
