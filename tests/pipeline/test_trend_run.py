@@ -202,3 +202,12 @@ def test_mistakes_in_a_mission_are_refused(tmp_path: Path, priors: Path) -> None
     assert "warning: " in accepted.output
     record = json.loads((tmp_path / "out" / "trend.json").read_text("utf-8"))
     assert [warning.count("same-telemetry") for warning in record["warnings"]] == [1]
+
+
+def test_the_mission_of_the_reference_runs(tmp_path: Path) -> None:
+    """The file that the page on mission files prints, as it stands, with its forecast."""
+    out = tmp_path / "trend"
+    example = ROOT / "docs" / "examples" / "mission.toml"
+    result = CliRunner().invoke(app, ["trend", str(example), "--out", str(out), "--quiet"])
+    assert result.exit_code == 0, result.output
+    assert "2012-01-01" in (out / "report.html").read_text("utf-8")
