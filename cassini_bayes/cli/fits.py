@@ -173,13 +173,15 @@ def as_record(outcome: Outcome) -> dict[str, object]:
 
 def _lines(outcome: Outcome) -> list[str]:
     """The verdict, whether it stands, and where to look next."""
+    from cassini_bayes.report.verdict import NOT_CONVERGED
+
     report = outcome.folder / "report.html"
     where = [str(outcome.folder / "figures"), str(report)]
     if not report.exists():
         where = [str(outcome.folder / "summary.csv")]
     doubt = []
     if not outcome.converged:
-        doubt = ["NOT CONVERGED: what follows is no result yet"]
+        doubt = [NOT_CONVERGED]
     elif outcome.review.warnings:
         doubt = ["WITH WARNINGS, which stand last: read them before you use what follows"]
     return [*doubt, *outcome.verdict, PLUS_MINUS, *where]

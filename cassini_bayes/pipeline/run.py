@@ -31,11 +31,10 @@ from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
-from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model, stop_rule_held
+from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
 from cassini_bayes.results.record import Fit, save_fit
-from cassini_bayes.results.review import Review
-from cassini_bayes.results.tables import worst_convergence
-from cassini_bayes.sampling.ensembles import MAX_RHAT, ProgressReport
+from cassini_bayes.results.review import Review, is_converged
+from cassini_bayes.sampling.ensembles import ProgressReport
 
 CHECKPOINT: Final = "checkpoint"
 PROVENANCE: Final = "provenance.json"
@@ -283,15 +282,6 @@ def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> No
         pictures = pictures_of(sections, cores())
         save_pictures(pictures, folder / "figures")
         write_report(review, sections, pictures, folder / "report.html")
-
-
-def is_converged(review: Review) -> bool:
-    """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
-    rhat, bulk, tail = worst_convergence(review.summary)
-    target = float(review.fit.attributes["target_ess"])
-    return bool(
-        stop_rule_held(review.fit) and rhat < MAX_RHAT and bulk >= target and tail >= target
-    )
 
 
 def facts_of(

@@ -15,8 +15,8 @@ from cassini_bayes.report.sections import figures_of, pictures_of, sections_of, 
 from cassini_bayes.report.telemetry import inertia_numbers
 from cassini_bayes.report.templating import address_of, rendered
 from cassini_bayes.report.thrusts import key_numbers, summary_sentences
-from cassini_bayes.report.verdict import verdict
-from cassini_bayes.results.review import Review
+from cassini_bayes.report.verdict import NOT_CONVERGED, verdict
+from cassini_bayes.results.review import Review, is_converged
 
 __all__ = [
     "figures_of",
@@ -57,6 +57,7 @@ def render_report(
         n_events=len(all_events_of(review)),
         has_thrusts=bool(events_of(review)),
         has_telemetry=bool(review.model.telemetry),
+        doubt="" if is_converged(review) else NOT_CONVERGED,
         verdict=verdict(review),
         summary=summary_sentences(review),
         key_numbers=[*inertia_numbers(review), *key_numbers(review)],

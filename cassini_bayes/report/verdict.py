@@ -15,6 +15,7 @@ from cassini_bayes.report.plots.tables import events_of, level_row, thrusters_of
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi
 
+NOT_CONVERGED: Final = "NOT CONVERGED: what follows is no result yet"
 MOMENTS: Final = ("xx", "yy", "zz")
 LEAST_NARROWING: Final = 0.005
 STRAY: Final = 2.0  # times the median width: said apart

@@ -18,6 +18,7 @@ from cassini_bayes.model.observability import Observability, event_worth, observ
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.delta_v_uses import thrusts_by_delta_v_use
+from cassini_bayes.results.fitting import stop_rule_held
 from cassini_bayes.results.inertia import inertia_table, tensors_of
 from cassini_bayes.results.inertia_baselines import inertia_methods
 from cassini_bayes.results.record import Fit
@@ -32,9 +33,11 @@ from cassini_bayes.results.tables import (
     summarise,
     thrust_baselines,
     thrust_conflicts,
+    worst_convergence,
 )
 from cassini_bayes.results.telemetry_baselines import torque_methods
 from cassini_bayes.results.time_series import EventSeries, event_series
+from cassini_bayes.sampling.ensembles import MAX_RHAT
 
 VARIANT_STREAM: Final = 3
 SERIES_STREAM: Final = 4
@@ -169,3 +172,12 @@ class Review:
     def torque_methods(self) -> pd.DataFrame:
         """Torques from the wheels' drift."""
         return torque_methods(self.model)
+
+
+def is_converged(review: Review) -> bool:
+    """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
+    rhat, bulk, tail = worst_convergence(review.summary)
+    target = float(review.fit.attributes["target_ess"])
+    return bool(
+        stop_rule_held(review.fit) and rhat < MAX_RHAT and bulk >= target and tail >= target
+    )

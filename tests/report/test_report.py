@@ -25,6 +25,7 @@ from cassini_bayes.report import (
 )
 from cassini_bayes.report import sections as registry
 from cassini_bayes.report.page import Chapter, Paragraph, Section
+from cassini_bayes.report.verdict import NOT_CONVERGED
 from cassini_bayes.results.review import Review
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "col", "wbr"}
@@ -153,6 +154,19 @@ def test_the_verdict_names_the_prior_and_what_is_known_well(html: str, review: R
     kept = relative[relative <= 2 * np.median(relative)]
     assert f"to {100 * kept.min():.2g}–{100 * kept.max():.2g}" in first
     assert html.index('class="verdict"') < html.index("<figure")
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_a_page_of_no_result_says_so_first(
+    converged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the command does: before any number, and nowhere where the fit converged."""
+    monkeypatch.setattr("cassini_bayes.report.is_converged", lambda _: converged)
+    own = made_up_review()
+    text = Page(render_report(own, sections_of(own), {})).text
+    assert (NOT_CONVERGED in text) is not converged
+    if not converged:
+        assert text.index(NOT_CONVERGED) < text.index("Thrust 0")
 
 
 def test_a_card_says_how_much_of_the_posterior_is_prior(html: str, review: Review) -> None:
