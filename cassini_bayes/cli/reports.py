@@ -25,7 +25,7 @@ def report_command(
 ) -> None:
     """Write summary, tables, figures and report.html of a finished run or fit."""
     from cassini_bayes.pipeline.fits import read_fit, report
-    from cassini_bayes.pipeline.run import is_converged
+    from cassini_bayes.results.review import is_converged
 
     result = read_fit(fit, base=base, effect_files=effects or ())
     page = report(result, out, reporter=ConsoleReporter(quiet))

@@ -116,7 +116,7 @@ def scenario_of(
     spacecraft = _spacecraft(where, folder, scenario)
     scenario = _with_cycle(where, scenario, spacecraft.control_cycle_s)
     _check_wheels(where, scenario, spacecraft)
-    ids = _check_events(where, scenario)
+    ids = _check_events(where, scenario, spacecraft.highest_wheel_rpm)
     for appendage in scenario.appendage:
         _check_direction(f"{where}: appendage.{appendage.name}.axis", appendage.axis)
     _check_truth(where, scenario, spacecraft)
@@ -126,13 +126,13 @@ def scenario_of(
     return ScenarioFile(where, folder, scenario, spacecraft, effects)
 
 
-def _check_events(where: str, scenario: Scenario) -> tuple[str, ...]:
+def _check_events(where: str, scenario: Scenario, highest_rpm: float) -> tuple[str, ...]:
     """Check every event; their ids."""
     seen: list[str] = []
     taken = ("totals.csv", "truth.json", "figures")
     for event in scenario.event:
         place = f"{where}: event.{event.id}"
-        _check_event(place, event, scenario)
+        _check_event(place, event, scenario, highest_rpm)
         if event.id in taken:
             expected = f"a name other than {', '.join(taken)}"
             fix = "rename it: these stand beside the event folders"
@@ -206,7 +206,7 @@ def _check_wheels(where: str, scenario: Scenario, spacecraft: Spacecraft) -> Non
             )
 
 
-def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
+def _check_event(where: str, event: EventSettings, scenario: Scenario, highest_rpm: float) -> None:
     wheels = scenario.spacecraft.wheels
     if event.epoch.tzinfo is None:
         raise InputError(f"{where}.epoch", "a time in UTC", str(event.epoch), "add Z to it")
@@ -218,6 +218,14 @@ def _check_event(where: str, event: EventSettings, scenario: Scenario) -> None:
                 f"{len(wheels)} rates, of wheels {list(wheels)}",
                 f"{len(value)}",
                 "give one rate per prime wheel",
+            )
+        if value is not None and max(map(abs, value)) > highest_rpm:
+            raise InputError(
+                f"{where}.{key}",
+                f"wheel rates within ±{highest_rpm:g} rev/min, or no telemetry of them is read",
+                str(list(value)),
+                "check the unit (rev/min); faster wheels have highest_wheel_rpm in their spacecraft"
+                " file",
             )
     needed = {"bias": "to_rpm", "slew": "slew", "delta_v": "delta_v_m_s"}.get(event.kind)
     if event.hybrid is not None:

@@ -21,7 +21,7 @@ def test_a_page_made_again_repeats_what_its_run_said(
     page = tmp_path / "report.html"
     monkeypatch.setattr("cassini_bayes.pipeline.fits.read_fit", lambda *_, **__: stored)
     monkeypatch.setattr("cassini_bayes.pipeline.fits.report", lambda *_, **__: page)
-    monkeypatch.setattr("cassini_bayes.pipeline.run.is_converged", lambda _: converged)
+    monkeypatch.setattr("cassini_bayes.results.review.is_converged", lambda _: converged)
     assert command(["report", str(tmp_path), "--quiet"]) == (0 if converged else 1)
     shown = capsys.readouterr()
     assert shown.out == f"{page}\n"

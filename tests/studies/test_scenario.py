@@ -419,6 +419,7 @@ BAD = (
     ('kind = "bias"', 'kind = "bais"', "bias"),
     ('id = "two"', 'id = "one"', "rename"),
     ("to_rpm = [100.0, -100.0, 50.0]", "to_rpm = [100.0, -100.0]", "3 rates"),
+    ("to_rpm = [100.0, -100.0, 50.0]", "to_rpm = [100.0, -5000.0, 50.0]", "within ±4000 rev/min"),
     ("to_rpm = [100.0, -100.0, 50.0]\n", "", "add to_rpm"),
     ("tau_fall_s = 0.05", "tau_fal_s = 0.05", "tau_fall_s"),
     ("tau_fall_s = 0.05", "tau_fall_s = nan", "finite"),
