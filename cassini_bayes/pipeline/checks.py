@@ -109,7 +109,12 @@ class CheckResult:
         more = max(0, len(table) - _MOST_ROWS)
         parts = [
             "Events",
-            self.rows.to_string(index=False, float_format="{:.4g}".format),
+            self.rows.drop(columns="mended").to_string(index=False, float_format="{:.4g}".format),
+            *(
+                f"mended in {row['event']}: {row['mended']}"
+                for row in self.rows.to_dict(orient="records")
+                if row["mended"]
+            ),
             "",
             "What these events can see (posterior over prior width, linearised)",
             table.head(_MOST_ROWS)[columns].to_string(index=False, float_format="{:.3g}".format),

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,16 @@ def test_a_thrust_that_the_events_contradict_is_found_before_sampling() -> None:
     shifted = priors().scaled(["thrust_common_n"], shift=-8.0)
     found = cb.check(events("bias"), shifted).warnings
     assert any(line.startswith("thrust_common_n: the data pull it +") for line in found)
+
+
+def test_what_was_mended_stands_below_the_table() -> None:
+    """A sentence of its own, not a cell as wide as the screen twice over."""
+    found = cb.check(events("slews"), priors())
+    said = "time_s: a row that repeats the one before it was dropped (2×, rows 42 to 82)"
+    lines = repr(replace(found, rows=found.rows.assign(mended=said))).splitlines()
+    assert f"mended in slews: {said}" in lines
+    assert max(map(len, lines[:3])) < 100
+    assert "mended" not in repr(found)
 
 
 def test_lists_are_tables_and_json(capsys: Captured, tmp_path: Path) -> None:
