@@ -71,7 +71,9 @@ def _sync(path: Path) -> None:
 
 def _unwritable(path: Path, error: OSError) -> InputError:
     if isinstance(error, FileExistsError | NotADirectoryError):
-        return InputError(str(path), "a folder", "a file", "choose another output folder")
+        return InputError(
+            str(path), "a folder that can be written", "a file", "choose another output folder"
+        )
     return InputError(
         str(path),
         "a place that can be written",

@@ -17,10 +17,12 @@ import cassini_bayes
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.json_file import read_json
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.pipeline.run_file import RunFile
 
 DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
 """Modules whose code, with all that they import, the draws of a run depend on."""
+RESOLVED: Final = "resolved.toml"
 MOST_NAMED: Final = 4
 """Changes that a refusal names."""
 OF_OUTPUT: Final = ("output.folder", "output.prior_draws", "output.report")
@@ -131,19 +133,17 @@ def read_provenance(path: Path) -> Provenance:
         ) from error
 
 
-def refuse_other_run(
-    path: Path, now: Provenance, began_with: Mapping[str, Any], settings: Mapping[str, Any]
-) -> None:
+def refuse_other_run(path: Path, now: Provenance, settings: Mapping[str, Any]) -> None:
     """Refuse to resume what began with other inputs; without a readable record, blocks decide.
 
     Parameters
     ----------
     path
-        The record of the run that is to go on.
+        The record of the run that is to go on, beside the settings that it began with.
     now
         That of the one that wants to.
-    began_with, settings
-        Their resolved settings, which name what was changed; ``began_with`` may be empty.
+    settings
+        Its resolved settings, to name what was changed.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def refuse_other_run(
             return
     except (InputError, KeyError):
         return
-    changed = [*_changed(began_with, settings), *_changed_record(earlier, now)]
+    changed = [*_changed(_began_with(path), settings), *_changed_record(earlier, now)]
     more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
     raise InputError(
         str(path),
@@ -164,6 +164,14 @@ def refuse_other_run(
         f"others: {', '.join(changed[:MOST_NAMED])}{more}" if changed else "other code",
         "undo the change and use --resume, or start anew with --force",
     )
+
+
+def _began_with(path: Path) -> Mapping[str, Any]:
+    """Settings that a run says it is of; none where they cannot be read."""
+    try:
+        return read_toml(path.with_name(RESOLVED), "the settings of a run")
+    except InputError:
+        return {}
 
 
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:

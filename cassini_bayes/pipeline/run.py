@@ -23,11 +23,15 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
-from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
-from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
+from cassini_bayes.pipeline.provenance import (
+    RESOLVED,
+    Provenance,
+    provenance_of,
+    refuse_other_run,
+)
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
@@ -38,7 +42,6 @@ from cassini_bayes.sampling.ensembles import ProgressReport
 
 CHECKPOINT: Final = "checkpoint"
 PROVENANCE: Final = "provenance.json"
-RESOLVED: Final = "resolved.toml"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,
@@ -159,14 +162,6 @@ def prepare_folder(
         ) from error
 
 
-def _began_with(path: Path) -> Mapping[str, Any]:
-    """Settings that a folder says it is of; none where it cannot be read."""
-    try:
-        return read_toml(path, "the settings of a run")
-    except InputError:
-        return {}
-
-
 def open_folder(
     folder: Path, settings: Mapping[str, Any], provenance: Provenance, *, resume: bool, **how: Any
 ) -> CheckpointStore:
@@ -179,7 +174,7 @@ def open_folder(
     """
     kept = folder / PROVENANCE
     if resume:
-        refuse_other_run(kept, provenance, _began_with(folder / RESOLVED), settings)
+        refuse_other_run(kept, provenance, settings)
     prepare_folder(folder, resume=resume, **how)
     write_text(folder / RESOLVED, tomli_w.dumps(settings))
     if not kept.exists():

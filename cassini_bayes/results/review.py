@@ -177,7 +177,7 @@ class Review:
 def is_converged(review: Review) -> bool:
     """Whether the stop rule held, and every scalar has its R-hat and effective sample size."""
     rhat, bulk, tail = worst_convergence(review.summary)
-    target = float(review.fit.attributes["target_ess"])
+    target = float(review.fit.attributes.get("target_ess", 0.0))
     return bool(
         stop_rule_held(review.fit) and rhat < MAX_RHAT and bulk >= target and tail >= target
     )

@@ -126,7 +126,8 @@ class Chains:
 class ProgressReport:
     """What a progress line says; the time left is NaN before anything was sampled afresh.
 
-    ``steps_left`` are those until the stop rule may hold, or until it gives up.
+    ``steps_left`` are those until the stop rule may hold, or until it gives up; then those that
+    were missing.
     """
 
     step: int
@@ -268,7 +269,7 @@ def sample(
             fresh_seconds += time.monotonic() - began
         if progress:
             per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
-            left = min(convergence.steps_left, settings.max_steps - step)
+            left = min(convergence.steps_left, settings.max_steps - step or convergence.steps_left)
             progress(ProgressReport(step, left, left * per_step, convergence.failed))
         chains = Chains(
             z, np.concatenate(densities, axis=1), accepted / (step * walkers), convergence

@@ -324,7 +324,8 @@ def test_what_a_chained_model_can_see(
     )
     shared = [name for name in chained.index if "later" not in name]
     before, after = (chained.loc[shared, c] for c in ("prior_sd", "expected_sd"))
-    np.testing.assert_allclose(before, first.loc[shared, "expected_sd"], rtol=0.06)
+    # linearised at prior means: of how alike pairs of pulses are, too, which the bias tells
+    np.testing.assert_allclose(before, first.loc[shared, "expected_sd"], rtol=0.08)
     np.testing.assert_allclose(after, both.loc[shared, "expected_sd"], rtol=0.1)
     ratio = chained.loc[shared, "ratio"]
     assert ratio["rwa4_tilt_u_rad"] < 0.6  # the first bias left it to the later one

@@ -67,7 +67,11 @@ def without() -> Model:
 
 def at_truth(joint: Model) -> Array:
     """Walked coordinates (1, d) of the true parameters."""
-    truth = flown("measured")[1] | {"delta_v_noise_m_s": NOISE_M_S, "close_pulse_share": 0.3}
+    truth = flown("measured")[1] | {
+        "delta_v_noise_m_s": NOISE_M_S,
+        "close_pulse_share": 0.3,
+        "close_pulse_factor": 0.5,
+    }
     return joint.space.to_standard({name: np.array([truth[name]]) for name in joint.space.names})
 
 

@@ -36,6 +36,7 @@ PLAIN_NUMBERS = ("_share", "_exponent", "_probability")
 EXPECTED = {
     *("thrust_common_n", "thrust_individual_n", "thrust_event_n", "thrust_jitter_n"),
     *("tau_delay_s", "tau_rise_s", "tau_fall_s", "close_pulse_share", "late_pulse_factor"),
+    "close_pulse_factor",
     "open_counter_factor",
     *("cm_x_m", "cm_y_m", "cm_z_m"),
     *(f"inertia_{e}_kg_m2" for e in ("xx", "yy", "zz", "xy", "xz", "yz")),
