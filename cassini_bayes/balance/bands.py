@@ -217,7 +217,7 @@ def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> 
     counters, stride = statistics.counters, places.stride
     weight = places.waves[:, :1]
     step = weight * (places.time_s[:, None] >= counters.end_s)
-    couples, number = counters.weight.shape[1], on_modes.shape[1]
+    couples, number = counters.square.shape[1], on_modes.shape[1]
     size = counters.slopes.shape[2]
     # squares (M + 1, G, …) on every mode, and at last over all rows
     pairs = np.zeros((number + 1, couples))
@@ -226,7 +226,7 @@ def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> 
         steps, intervals = step_patterns(counters, g, statistics.duration_s, step)
         square = (stride * on_modes.T @ steps) ** 2
         square = np.concatenate([square, stride * (steps**2).sum(axis=0)[None]])
-        pairs[:, g] = square @ counters.weight[intervals, g]
+        pairs[:, g] = square @ counters.square[intervals, g]
         columns[:, g] = np.tensordot(square, counters.unlike[intervals, g], (1, 0))
         levels = level_patterns(counters, g, step, weight)
         if levels.any():

@@ -62,7 +62,7 @@ class OpenScales(NamedTuple):
 
 def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales) -> Array:
     """Variances (n, R), s², of a couple's steps at the ends of all intervals, at n points."""
-    return scales.variance_s2(counters.weight[:, couple], counters.unlike[:, couple])
+    return scales.variance_s2(counters.square[:, couple], counters.unlike[:, couple])
 
 
 def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
@@ -95,7 +95,7 @@ def patterns_at(
 ) -> Iterator[tuple[Array, Places, Array]]:
     """Steps (n, s) of every couple with their intervals (s,), and levels (n, C, l), at n times."""
     step = (time_s[:, None] >= counters.end_s).astype(np.float64)
-    for couple in range(counters.weight.shape[1]):
+    for couple in range(counters.square.shape[1]):
         levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
         patterns, intervals = step_patterns(counters, couple, duration_s, step)
         yield patterns, intervals, levels[..., levels.any(axis=(0, 1))]

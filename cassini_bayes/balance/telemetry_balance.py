@@ -532,7 +532,7 @@ def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[A
     pairs, unlike = np.zeros(len(cuts)), np.zeros((len(cuts), size, size))
     for i, (couple, column) in enumerate(divmod(place, CUT_COLUMNS) for place in cuts):
         own = part == column - 1 if column > 0 else np.ones(len(part), dtype=bool)
-        pairs[i] = counters.weight[own, couple].sum()
+        pairs[i] = counters.square[own, couple].sum()
         unlike[i] = counters.unlike[own, couple].sum(axis=0)
     return pairs, unlike
 

@@ -28,18 +28,14 @@ the linear model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import (
-    change_of_evidence,
-    diagonal,
-    mean_change_of_evidence,
-)
+from cassini_bayes.balance.linearised import mean_change_of_evidence
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
@@ -68,19 +64,22 @@ def acts_on_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
 
     One that a search has settled has columns of its own, and is no such cause.
     """
-    if settled_for(cause.effects):
-        return False
-    before = none.model.points(point[None, : none.dimension])
-    after = cause.model.points(point[None])
-    return all(
+    return not settled_for(cause.effects) and all(
         np.allclose(own.momentum_per_rate, other.momentum_per_rate)
         and np.allclose(own.wheel_weights, other.wheel_weights)
         and np.allclose(own.rate_bias_rad_s, other.rate_bias_rad_s)
-        for own, other in (
-            (a.physics(before), b.physics(after))
-            for a, b in zip(none.model.telemetry, cause.model.telemetry, strict=True)
-        )
+        for own, other in _without_and_with(none, cause, point)
     )
+
+
+def _without_and_with(
+    none: Hypothesis, cause: Hypothesis, point: Array
+) -> Iterator[tuple[Physics, Physics]]:
+    """Physics of every telemetry event, of the baseline and of a cause at a point of its model."""
+    before = none.model.points(point[None, : none.dimension])
+    after = cause.model.points(point[None])
+    for own, other in zip(none.model.telemetry, cause.model.telemetry, strict=True):
+        yield own.physics(before), other.physics(after)
 
 
 def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
@@ -93,14 +92,10 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
 
 def acts_between_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
     """Whether a cause leaves pulses, body, wheels and gyro as they are: a torque that is steady."""
-    before = none.model.points(point[None, : none.dimension])
-    after = cause.model.points(point[None])
     return acts_on_pulses(none, cause, point) and all(
         np.allclose(one, two)
-        for a, b in zip(none.model.telemetry, cause.model.telemetry, strict=True)
-        for one, two in zip(
-            _of_pulses(a.physics(before)), _of_pulses(b.physics(after)), strict=True
-        )
+        for own, other in _without_and_with(none, cause, point)
+        for one, two in zip(_of_pulses(own), _of_pulses(other), strict=True)
     )
 
 
@@ -137,8 +132,7 @@ def gains_of_columns(none: Weighed[Hypothesis], causes: Sequence[Hypothesis]) ->
     for cause, ratio, begin, end in zip(causes, ratios, ends[:-1], ends[1:], strict=True):
         matrix, vector = told.matrix[begin:end, begin:end], told.vector[begin:end]
         if ratio is None:
-            change = change_of_evidence(*diagonal(matrix, vector), np.ones(1))
-            gains[cause.name] = float(change[0])
+            gains[cause.name] = mean_change_of_evidence(matrix, vector, np.ones(1), np.zeros(1))
         else:
             each = ratio * vector[0] - 0.5 * ratio**2 * matrix[0, 0] - 0.5 * LEAKS**2
             gains[cause.name] = float(logsumexp(each) - logsumexp(-0.5 * LEAKS**2))

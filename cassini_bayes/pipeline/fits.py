@@ -28,10 +28,10 @@ from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.totals import SOFTWARE, DeltaVUse
 from cassini_bayes.pipeline.inputs import paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, read_model
-from cassini_bayes.pipeline.provenance import RESOLVED, read_provenance
+from cassini_bayes.pipeline.provenance import read_provenance
 from cassini_bayes.pipeline.run import Quiet, Reporter, execute, facts_of, write_results
 from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
-from cassini_bayes.prediction.sources import locate
+from cassini_bayes.prediction.sources import RESOLVED, locate
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.report.plots.scalars import headlines, scalar_corner, trace_figure
 from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval

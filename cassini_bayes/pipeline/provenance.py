@@ -19,10 +19,10 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.prediction.sources import RESOLVED
 
 DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
 """Modules whose code, with all that they import, the draws of a run depend on."""
-RESOLVED: Final = "resolved.toml"
 MOST_NAMED: Final = 4
 """Changes that a refusal names."""
 OF_OUTPUT: Final = ("output.folder", "output.prior_draws", "output.report")

@@ -26,13 +26,9 @@ from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
-from cassini_bayes.pipeline.provenance import (
-    RESOLVED,
-    Provenance,
-    provenance_of,
-    refuse_other_run,
-)
+from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
+from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model

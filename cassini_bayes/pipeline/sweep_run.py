@@ -26,6 +26,7 @@ from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.pipeline.run_file import RunFile
+from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.record import Fit, read_fit
 from cassini_bayes.sweep.models import Factory
@@ -113,7 +114,7 @@ def execute_sweep(
     planned = plan(factory, fit, sweep, where)
     target = folder / FOLDER
     store = _store(planned, target, inputs)
-    write_text(target / "resolved.toml", tomli_w.dumps(sweep.model_dump()))
+    write_text(target / RESOLVED, tomli_w.dumps(sweep.model_dump()))
     reporter.log(f"{len(planned.cells)} cells, {len(planned.baseline.names)} quantities")
     with workers_at(jobs, dask, reporter.log) as workers:
         for done, total in planned.run(store, workers):

@@ -269,7 +269,9 @@ def sample(
             fresh_seconds += time.monotonic() - began
         if progress:
             per_step = fresh_seconds / fresh_steps if fresh_steps else np.nan
-            left = min(convergence.steps_left, settings.max_steps - step or convergence.steps_left)
+            left = convergence.steps_left
+            if step < settings.max_steps:
+                left = min(left, settings.max_steps - step)
             progress(ProgressReport(step, left, left * per_step, convergence.failed))
         chains = Chains(
             z, np.concatenate(densities, axis=1), accepted / (step * walkers), convergence

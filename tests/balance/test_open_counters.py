@@ -166,7 +166,7 @@ def test_errors_of_short_pulses_are_taken_back_as_far_as_slopes_are_alike(spread
         counters([0.0] * 4),
         end_s=ends,
         fired=fired,
-        weight=none,
+        square=none,
         steps=none,
         slopes=slopes,
         open_s2=np.array([step_s**2 / 12.0]),

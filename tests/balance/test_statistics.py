@@ -180,7 +180,7 @@ def test_joined_intervals_stay_in_their_quarter(monkeypatch: pytest.MonkeyPatch)
     few, _ = reduced(samples, telemetry_priors())
     assert every.counters.fired.sum(axis=0).max() > 4 * few.counters.fired.sum(axis=0).max()
     assert few.counters.steps.any()
-    for name in ("weight", "unlike", "steps"):
+    for name in ("square", "unlike", "steps"):
         sums = [
             np.array(
                 [

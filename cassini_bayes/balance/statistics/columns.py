@@ -163,22 +163,24 @@ class Sampling:
         offset_s
             (n,) or a number, by how much pulses last longer than commanded.
         """
-        delay, rise, fall = (np.asarray(value)[..., None] for value in tau_s)
-        lasts = np.maximum(np.asarray(self.paired_s) + np.asarray(offset_s)[..., None], 0.0)
-        reached = self.pulse_shape.reached(lasts, delay, rise, fall).mean(axis=-1)
-        return np.asarray(self.pulse_shape.tail_s(*tau_s) * reached**2)
+        return np.asarray(self.pulse_shape.tail_s(*tau_s) * self._reached(tau_s, offset_s) ** 2)
 
     def cut_by_width(self, width_s: Array) -> Array:
         """What pairs of these widths (…) lose over those of the event's, at the reference: ρ²/ρ̄².
 
         ρ is the thrust that a pulse reaches, ρ̄ its mean over ``paired_s``.
         """
-        own, every = (
-            self.pulse_shape.reached(widths, *self.pulse_reference_s)
-            for widths in (width_s, self.paired_s)
-        )
-        mean = float(np.mean(every)) ** 2
+        own = self.pulse_shape.reached(width_s, *self.pulse_reference_s)
+        mean = float(self._reached(self.pulse_reference_s)) ** 2
         return np.asarray(own**2 / mean) if mean > 0.0 else np.ones_like(own)
+
+    def _reached(
+        self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
+    ) -> Array:
+        """Mean thrust, over the steady one, that the event's pulses reach."""
+        delay, rise, fall = (np.asarray(value)[..., None] for value in tau_s)
+        lasts = np.maximum(np.asarray(self.paired_s) + np.asarray(offset_s)[..., None], 0.0)
+        return np.asarray(self.pulse_shape.reached(lasts, delay, rise, fall).mean(axis=-1))
 
     @cached_property
     def pulses(self) -> PulseBasis:

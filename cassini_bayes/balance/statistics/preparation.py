@@ -119,7 +119,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
     paired = paired_widths(expected.on_time_s, pulses)
-    widths = _typical(single_widths(expected.on_time_s, on_time, pulses))
+    widths = _typical(single_widths(expected.on_time_s, on_time, pulses), WIDTHS, LEAST_ALONE)
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
     read = np.r_[time, end_s]
@@ -143,16 +143,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)
-    found = Preparation(
-        steps,
-        noise,
-        time,
-        expected.rounding,
-        gaps,
-        paired,
-        widths,
-        late,
-    )
+    found = Preparation(steps, noise, time, expected.rounding, gaps, paired, widths, late)
     return Prepared(found, time, expected.on_time_s, pulses, end_s)
 
 
@@ -186,9 +177,7 @@ def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
     for gained, begun in zip(np.diff(on_time_s, axis=0).T, np.diff(pulses, axis=0).T, strict=True):
         own = firings(gained, begun)
         found.append(np.repeat(own.seconds / own.pulses, own.pulses.astype(np.int64)))
-    every = np.maximum(np.concatenate(found), 0.0)
-    share = (np.arange(QUANTILES) + 0.5) / QUANTILES
-    return tuple(np.quantile(every, share, method="inverted_cdf").tolist()) if len(every) else ()
+    return _typical(np.maximum(np.concatenate(found), 0.0), QUANTILES, 1)
 
 
 def begin_with_cycles(
@@ -250,11 +239,11 @@ def close_gaps(
     return tuple(np.quantile(gaps if with_cycles else np.outer(gaps, share), share).tolist())
 
 
-def _typical(widths_s: Array) -> tuple[float, ...]:
-    """:data:`WIDTHS` of the widths that stand for all; none of fewer than :data:`LEAST_ALONE`."""
-    if len(widths_s) < LEAST_ALONE:
+def _typical(widths_s: Array, number: int, least: int) -> tuple[float, ...]:
+    """A number of the widths that stand for all; none of fewer than the ``least``."""
+    if len(widths_s) < least:
         return ()
-    share = (np.arange(WIDTHS) + 0.5) / WIDTHS
+    share = (np.arange(number) + 0.5) / number
     # widths that occur: between pulses of 63 and of 125 ms there may be none
     return tuple(np.quantile(widths_s, share, method="inverted_cdf").tolist())
 

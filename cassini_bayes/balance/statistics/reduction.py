@@ -124,11 +124,10 @@ class CounterStatistics:
     """What counters leave open, by the times of the intervals in which something fired.
 
     ``row_time_s`` (r,) are evenly thinned times of the rows, each for ``stride`` of them;
-    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``weight``
+    ``end_s`` (R,) are the intervals, ``fired`` (R, G) which couples did in them, ``square``
     (R, G) the pairs in them that may be close, by what they scatter, ``unlike`` (R, G, C, C) what
-    unlike pulses scatter,
-    ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C) what columns gain per
-    on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
+    unlike pulses scatter, ``steps`` (R, G) the nominal variances of both and ``slopes`` (R, G, C)
+    what columns gain per on-time (:class:`Pairs`); ``open_s2`` (G,), ``open_ratio`` (R, G)
     and ``open_every`` (G,) say what rounded counters leave open of a couple's levels
     (:class:`.rounded_counters.Rounding`). ``gaps_s`` (m,) are the times,
     all as likely, from the end of a pulse to the next one of a pair that is close, ``paired_s``
@@ -145,7 +144,7 @@ class CounterStatistics:
     stride: int
     end_s: Array
     fired: NDArray[np.bool_]
-    weight: Array
+    square: Array
     unlike: Array
     steps: Array
     slopes: Array
