@@ -97,7 +97,7 @@ class Turning:
         return total
 
     def misaligned(self, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> float:
-        """Twice the logarithm by which other axes, another lag or size fit better, at their best.
+        """n log of the ratio by which other axes, another lag or size fit better, at their best.
 
         Rates are ``rate`` (3, 3) times those recorded. Two readings of the likelihood, the larger
         counts: rates are as good as free of noise, and only the difference has any (if the best of
