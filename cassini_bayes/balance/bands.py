@@ -135,9 +135,9 @@ def make_bands(statistics: EventStatistics) -> Bands:
         parts.append(modes[..., start:stop])
     rows = statistics.rows - len(walk)
     if rows > 0:
-        # Σ 1/m² over the cosines that are not there: all of their variance on the rows left
-        beyond = 2.0 * statistics.duration_s / np.pi**2 / (len(walk) - 0.5)
-        left = np.array([beyond * statistics.rows / rows])
+        # Σ T/(4 N sin²(mπ/2N)) over the cosines of N even rows that are not there: an integral
+        angle = np.pi * (len(walk) - 0.5) / (2.0 * statistics.rows)
+        left = np.array([statistics.duration_s / (2.0 * np.pi * np.tan(angle) * rows)])
         motion = None if turning else motion_table(rows, still)
         slower = of_wheels.of_modes(0, len(walk))
         noise = (left_open.of_rest(rows), (everywhere - slower).over(rows))

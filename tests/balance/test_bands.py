@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from telemetry_cases import made_up_samples, reduced, telemetry_priors
 
-from cassini_bayes.balance.bands import rounded_slopes, turn_bands
+from cassini_bayes.balance.bands import make_bands, rounded_slopes, turn_bands
 from cassini_bayes.balance.rounded_wheels import coherent_shares
 from cassini_bayes.balance.statistics.turns import slope_weights
 
@@ -37,6 +37,23 @@ def test_summed_noise_of_unlike_pieces_is_that_of_every_band() -> None:
     scatter = 4.0 * np.sqrt(2.0 / (120.0 * contrasts))
     assert np.all(np.abs(found / expected - 1.0) < scatter)
     assert over_all < 0.6 * found[0]
+
+
+def test_what_no_mode_has_of_a_random_walk_is_on_the_rows_left() -> None:
+    """Mean square of simulated walks beyond all modes, per row left."""
+    rng = np.random.default_rng(20261129)
+    statistics, _ = reduced(made_up_samples(rng, 600, fires=False), telemetry_priors())
+    _, fast, *_ = make_bands(statistics)
+    rest, rows = fast[-1], statistics.rows
+    modes, time = rows - rest.rows, statistics.counters.row_time_s
+    basis = np.linalg.qr(np.cos(np.pi * np.outer(time, np.arange(modes)) / statistics.duration_s))
+    steps = np.sqrt(np.diff(time, prepend=0.0))[:, None]
+    walks = np.cumsum(steps * rng.standard_normal((rows, 400)), axis=0)
+    left = walks - basis[0] @ (basis[0].T @ walks)
+    found = np.sum(left**2) / (400 * rest.rows)
+    # 400 times 300 squares, the slowest of which have a tenth of the sum: 1 % at most
+    assert rest.walk[0] == pytest.approx(found, rel=0.04)
+    assert 0.5 * rest.walk[0] < 0.9 * found < found < 0.9 * 2.0 * rest.walk[0]
 
 
 DRIFTS = (0.0, 0.011, 0.047)  # steps a second: at rest, one in three pieces, three in two
