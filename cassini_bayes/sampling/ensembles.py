@@ -148,7 +148,9 @@ def check_convergence(
     """
     m, steps, walkers, d = z.shape
     every_walker = np.moveaxis(z, 0, 1).reshape(steps, m * walkers, d)
-    tau = np.maximum(emcee.autocorr.integrated_time(every_walker, tol=0, quiet=True), 1.0)
+    with np.errstate(invalid="ignore"):  # a walker that never moved has no autocorrelation
+        tau = emcee.autocorr.integrated_time(every_walker, tol=0, quiet=True)
+    tau = np.maximum(np.nan_to_num(tau, nan=steps), 1.0)
     burn_in = int(np.ceil(BURN_IN_TAU * tau.max()))
     kept = z[:, min(burn_in, steps - 4) :]
     flat = kept.reshape(m, -1, d)
@@ -156,6 +158,7 @@ def check_convergence(
     from_emcee = kept.shape[0] * kept.shape[1] * walkers / tau
     between = np.array([float(arviz().rhat(flat[:, :, j])) for j in range(d)])
     sizes = np.array([min(*_ess(per_walker[:, :, j]), from_emcee[j]) for j in range(d)])
+    sizes = np.nan_to_num(sizes, nan=0.0)  # of a few steps there are none
     change = np.inf if previous_tau is None else float(np.max(np.abs(tau / previous_tau - 1.0)))
     length = kept.shape[1]
     failed = []

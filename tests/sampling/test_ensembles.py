@@ -304,6 +304,18 @@ def test_short_chains_are_not_accepted(steps: int) -> None:
     assert found.steps_left >= next_check(steps) - steps
 
 
+@pytest.mark.parametrize("steps", [3, 200])
+def test_walkers_that_never_moved_are_not_accepted(steps: int) -> None:
+    """Their autocorrelation and effective size are no numbers: the rule fails and does not end."""
+    z = autoregressive(np.random.default_rng(9), 0.0, (4, 1, 32, 2))
+    z = np.broadcast_to(z, (4, steps, 32, 2))
+    tau = check_convergence(z, RULE, None).autocorrelation_time
+    found = check_convergence(z, RULE, tau)
+    assert not found.done
+    assert any(reason.startswith("ESS") for reason in found.failed)
+    assert found.steps_left > 0
+
+
 def test_a_moving_autocorrelation_time_is_not_accepted() -> None:
     """τ that changed by more than 5 % since the last check fails on its own."""
     z = autoregressive(np.random.default_rng(8), 0.5, (4, 1_000, 32, 1))
