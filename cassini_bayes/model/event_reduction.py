@@ -68,13 +68,16 @@ from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
-REDUCED_BY: Final = ("events.telemetry", "events.plausibility", "balance.statistics")
+REDUCED_BY: Final = (
+    "events.telemetry", "events.plausibility", "balance.statistics", "model.event_reduction",
+)  # fmt: skip
 """Packages whose code, with all that they import, checks telemetry and reduces it."""
 _LOG_EVERY_S: Final = 5.0  # between lines of progress
 _TAIL_SPAN: Final = 5.0  # τ_fall after which 0.7 % of a tail is still to come
 _PRIOR_SPAN: Final = 2.0  # prior standard deviations that τ_fall may exceed its mean by
 _CORNER: Final = 0.5  # of the attitude's noise
 _CORNER_NOISE: Final = 5.0  # standard deviations of a second difference
+MOST_EARLY: Final = 0.01  # of an event, that its first row may lie before its epoch
 MOST_LATE_S: Final = 3e9
 """A century: a later first row is a count in another unit, no date."""
 MOST_KEPT: Final = 200_000
@@ -353,7 +356,7 @@ def reduce_event(
     rows = EventRows(event, priors.spacecraft, search)
     likely = sampling_of(priors, event.thrusters, last_time(event), pulse_shape)
     looked = PreparedRows(rows, likely.control_cycle_s, likely.guard_s)
-    key = reduction_key(event, likely, policy)
+    key = reduction_key(event, likely, priors, policy)
     cached = _cached(cache, key)
     statistics, reading = cached or _reduced(
         event, rows, looked.prepared, priors, likely, log, policy
@@ -412,8 +415,14 @@ def store_reduction(reduced: ReducedEvent, cache: Path) -> None:
         write_text(record, json.dumps(asdict(reduced.reading), indent=1) + "\n")
 
 
-def reduction_key(event: TelemetryEvent, sampling: Sampling, policy: Policy = STRICT) -> str:
-    """Hash of all that a reduction depends on: data, mistakes accepted, columns, pulses, code."""
+def reduction_key(
+    event: TelemetryEvent, sampling: Sampling, priors: Priors, policy: Policy = STRICT
+) -> str:
+    """Hash of all that a reduction and its findings depend on.
+
+    Data, mistakes accepted, columns, pulses, spacecraft, the values that mistakes are judged by,
+    and code.
+    """
     depends_on = {
         "telemetry": event.digest,
         "accepted": sorted(policy.accepted),
@@ -427,6 +436,8 @@ def reduction_key(event: TelemetryEvent, sampling: Sampling, policy: Policy = ST
         "control_cycle_s": sampling.control_cycle_s,
         "corner": [sampling.corner_rad, sampling.corner_rad_s],
         "thrusters": event.thrusters,
+        "spacecraft": priors.spacecraft.digest,
+        "nominal": nominal_values(priors),
         "code": code_digest(*REDUCED_BY),
     }
     return hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
@@ -445,13 +456,13 @@ def _cached(cache: Path | None, key: str) -> tuple[EventStatistics, ReadingRecor
 
 
 def _require_start(event: TelemetryEvent, start_s: float, end_s: float) -> None:
-    """Refuse an event that begins later than it lasts: its torques are laid over [0, end].
+    """Refuse an event that begins before 0, or later than it lasts: torques are laid over [0, end].
 
     A first row some minutes late does no harm. With a clock's count for time, or another event's
     epoch, nearly all that the torque noise may do would lie before the first row.
     """
     lasts_s = end_s - start_s
-    if abs(start_s) <= lasts_s:
+    if -MOST_EARLY * lasts_s <= start_s <= lasts_s:
         return
     fix = "count times from the first row"
     if abs(start_s) < MOST_LATE_S:
