@@ -25,6 +25,7 @@ from cassini_bayes.balance.statistics import (
     reduce_chunks,
 )
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
+from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
@@ -112,7 +113,11 @@ def nominal_values() -> dict[str, float]:
 
 
 def reduced(
-    samples: Samples, priors: Priors, event_id: str = "made-up", chunks: int = 1
+    samples: Samples,
+    priors: Priors,
+    event_id: str = "made-up",
+    chunks: int = 1,
+    prepared: Preparation | None = None,
 ) -> tuple[EventStatistics, Sampling]:
     """Statistics of samples cut into chunks."""
     fires = samples.on_time_s.shape[1] > 0
@@ -122,7 +127,8 @@ def reduced(
     edges = np.linspace(0, len(samples), chunks + 1).astype(int)
     parts = [samples.part(a, b) for a, b in pairwise(edges)]
     kind = "bias" if fires else "slew"
-    return reduce_chunks(event_id, kind, parts, layout, sampling), sampling
+    statistics = reduce_chunks(event_id, kind, parts, layout, sampling, prepared=prepared)
+    return statistics, sampling
 
 
 def event_of(samples: Samples, priors: Priors, event_id: str = "made-up") -> ReducedEvent:

@@ -21,7 +21,13 @@ from cassini_bayes.balance.statistics import (
     settle,
 )
 from cassini_bayes.balance.statistics.columns import effective_increments, quarter_of
-from cassini_bayes.balance.statistics.reduction import MODES, CounterStatistics, local_waves
+from cassini_bayes.balance.statistics.reduction import (
+    MODES,
+    CounterStatistics,
+    LateRows,
+    Preparation,
+    local_waves,
+)
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
@@ -46,6 +52,45 @@ def test_chunks_do_not_matter(chunks: int, fires: bool) -> None:
     for field in fields(CounterStatistics):
         one, other = (getattr(each.counters, field.name) for each in (cut, whole))
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10, err_msg=field.name)
+
+
+def damaged(samples: Samples, how: str) -> Samples:
+    """Telemetry that lacks attitudes for a while, or comes more seldom from some time on."""
+    rows = np.arange(len(samples))
+    if how == "more seldom":
+        return replace(samples, time_s=samples.time_s + 3.0 * np.maximum(rows - 80, 0))
+    attitude = np.where(((rows > 60) & (rows < 100))[:, None], np.nan, samples.attitude)
+    return replace(samples, attitude=attitude)
+
+
+@pytest.mark.parametrize("how", ["no attitudes", "more seldom"])
+@pytest.mark.parametrize("chunks", [3, 7, 40])
+def test_chunks_do_not_matter_where_rows_are_missing(how: str, chunks: int) -> None:
+    """What is fired while attitudes are missing is not lost, and pieces are the same."""
+    rng = np.random.default_rng(chunks)
+    samples = damaged(made_up_samples(rng, 200, firing=0.01, wander=1e-5), how)
+    whole, _ = reduced(samples, telemetry_priors())
+    cut, _ = reduced(samples, telemetry_priors(), chunks=chunks)
+    assert whole.turns.pieces == cut.turns.pieces > 3
+    assert np.any(np.diff(samples.pulses[60:101], axis=0) != 0.0)
+    for name in ARRAYS:
+        one, other = getattr(cut, name), getattr(whole, name)
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-9, err_msg=name)
+    for name in ("slope_gram", "gram", "contrasts", "slope_time_s"):
+        one, other = getattr(cut.turns, name), getattr(whole.turns, name)
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("chunks", [3, 7])
+def test_chunks_do_not_matter_for_means_over_blocks(chunks: int) -> None:
+    """A block that a gap has left few rows of is left out, whatever chunk it is in."""
+    samples = made_up_samples(np.random.default_rng(chunks), 400, firing=0.3)
+    samples = Samples.joined([samples.part(0, 140), samples.part(185, 400)])
+    found = Preparation(late=LateRows(32.0, 32.0, 0.1, (0.3,) * 8))
+    whole, _ = reduced(samples, telemetry_priors(), prepared=found)
+    cut, _ = reduced(samples, telemetry_priors(), chunks=chunks, prepared=found)
+    assert whole.rows == cut.rows == 11
+    np.testing.assert_allclose(cut.gram, whole.gram, rtol=1e-11, atol=1e-9)
 
 
 @pytest.mark.parametrize("part", [0.3, 0.04, 1e-3])

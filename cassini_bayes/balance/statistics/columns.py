@@ -32,7 +32,7 @@ from cassini_bayes.balance.statistics.rows import (
     rows_at_readings,
 )
 from cassini_bayes.balance.statistics.turning import turned_into_body
-from cassini_bayes.computing.arrays import Array, Flags
+from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft.pulses import STEADY_S, PulseShape
 
@@ -118,7 +118,7 @@ class Sampling:
     ``gaps_s`` the times after which close ones follow (without, a control cycle), ``paired_s`` the
     widths of pulses, means over firings, all as likely (without, pulses of steady thrust). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
-    whatever is still being delivered then (:mod:`.late`).
+    ``block_rows`` of them usually, whatever is still being delivered then (:mod:`.late`).
     """
 
     pulse_shape: PulseShape
@@ -137,6 +137,7 @@ class Sampling:
     gaps_s: tuple[float, ...] = ()
     paired_s: tuple[float, ...] = (STEADY_S,)
     block_s: float = 0.0
+    block_rows: float = 0.0
 
     @cached_property
     def pair_s2(self) -> float:
@@ -344,18 +345,16 @@ def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Samplin
 class Pairs:
     """Pairs of pulses that may be close together, by counter interval (m,) and couple (G,).
 
-    Of every pair the tail of the first pulse may have been cut: ``weight`` (m, G) counts pairs,
-    each by how often it is close against one of two pulses within a second, and by what it loses
-    against one of the event's mean widths; ``square`` (m, G) the same with the square of that, for
-    variances. ``fired`` (m, G) tells
-    which couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
+    Of every pair the tail of the first pulse may have been cut: ``square`` (m, G) counts pairs for
+    variances, each by how often it is close against one of two pulses within a second, and by the
+    square of what it loses against one of the event's mean widths. ``fired`` (m, G) tells which
+    couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
     columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s², and ``slopes``
     (m, G, C) what they gain per on-time (:meth:`.PulseBasis.slopes`).
     """
 
     end_s: Array
     fired: NDArray[np.bool_]
-    weight: Array
     square: Array
     unlike: Array
     slopes: Array
@@ -381,8 +380,9 @@ class Carry:
 
     Integrals are in inertial axes: ``torque`` (3, 3) = ∫ Pᵀ dt, ``fired`` (K, C, 3, 3) = Σ Pᵀ Δs
     per thruster and pulse column, last two axes (inertial, j), ``cuts`` the tails that may have
-    been cut and ``pairs`` the intervals in which. ``waiting`` are rows read already: those after
-    ``done_until_s``, and before it as many as are needed to tell which of them are quiet.
+    been cut and ``pairs`` the intervals in which, a part for every stretch. ``waiting`` are rows
+    read already: those after ``done_until_s``, and before it as many as are needed to tell which of
+    them are quiet.
     """
 
     done_until_s: float
@@ -392,7 +392,7 @@ class Carry:
     torque: Array
     fired: Array
     cuts: Array
-    pairs: Pairs
+    pairs: tuple[Pairs, ...]
     waiting: Samples | None
     block: Rows | None = None  # rows of a block that may go on
 
@@ -404,8 +404,8 @@ class Carry:
         none = np.zeros((0, len(layout.couples)))
         slopes = np.zeros((*none.shape, len(PULSE_COLUMNS)))
         unlike = np.zeros((*slopes.shape, len(PULSE_COLUMNS)))
-        pairs = Pairs(np.zeros(0), none > 0.0, none, none, unlike, slopes)
-        return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, pairs, None)
+        pairs = Pairs(np.zeros(0), none > 0.0, none, unlike, slopes)
+        return Carry(-np.inf, None, 0.0, None, np.zeros((3, 3)), fired, cuts, (pairs,), None)
 
 
 @dataclass(frozen=True)
@@ -422,10 +422,11 @@ class Rows:
         """Some of the rows."""
         return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
 
-    def averaged(self, block: Array) -> Rows:
+    def averaged(self, block: Array, usual: float) -> Rows:
         """Means over the blocks that rows (n,) are numbered by; time and attitude of the middle.
 
-        Blocks with less than half the usual number of rows are left out: their noise is another.
+        Blocks with less than half the ``usual`` number of rows are left out: their noise is
+        another.
         """
         first = np.flatnonzero(np.diff(block, prepend=-1.0))
         if len(first) == 0:
@@ -434,7 +435,7 @@ class Rows:
         vector = np.add.reduceat(self.vector, first, axis=0) / count[:, None, None]
         scalar = np.add.reduceat(self.scalar, first, axis=0) / count[:, None]
         pulses = np.add.reduceat(self.pulses, first, axis=0) / count[:, None]
-        full = 2.0 * count >= np.median(count)
+        full = 2.0 * count >= usual
         middle = (first + count // 2)[full]
         return Rows(
             self.time_s[middle], vector[full], scalar[full], pulses[full], self.cosines[middle]
@@ -473,26 +474,30 @@ def settle(
     """Columns of one chunk, and what the next needs.
 
     Rows after the last reading of unchanged counters wait for the next chunk unless this is the
-    final one, so that the result does not depend on where chunks end.
+    final one, and so does a reading until there is an attitude after it: the result does not depend
+    on where chunks end.
     """
     if carry.waiting is not None:
         samples = Samples.joined([carry.waiting, samples])
-    end = len(samples) - 1 if final else _settled(samples)
+    complete = np.flatnonzero(samples.has_state)
+    end = len(samples) - 1 if final else _settled(samples, complete)
     if len(samples) == 0 or samples.time_s[end] <= carry.done_until_s:
         return _no_rows(layout), replace(carry, waiting=samples)
     now = samples.part(0, end + 1)
     until = float(now.time_s[-1])
     waiting = samples.part(_context(now, sampling.guard_s))
-    rows, carry = _columns(now, carry, layout, sampling)
+    after = complete[complete > end][:1]
+    following = samples.time_s[after], direction_cosines(samples.attitude[after])
+    rows, carry = _columns(now, following, carry, layout, sampling)
     carry = replace(carry, done_until_s=until, waiting=waiting)
     if sampling.block_s == 0.0:
         return rows, carry
     if carry.block is not None:
         rows = Rows.joined([carry.block, rows])
-    of_block = np.floor(rows.time_s / sampling.block_s + SAME_S)
+    of_block = np.floor((rows.time_s + SAME_S) / sampling.block_s)
     over = np.ones(len(of_block), dtype=bool) if final else of_block < of_block[-1:]
     rows, block = rows.part(slice(0, over.sum())), rows.part(slice(over.sum(), None))
-    return rows.averaged(of_block[over]), replace(carry, block=block)
+    return rows.averaged(of_block[over], sampling.block_rows), replace(carry, block=block)
 
 
 def _no_rows(layout: Layout) -> Rows:
@@ -501,20 +506,28 @@ def _no_rows(layout: Layout) -> Rows:
     return Rows(np.empty(0), vectors, scalars, pulses, np.empty((0, 3, 3)))
 
 
-def _columns(now: Samples, carry: Carry, layout: Layout, sampling: Sampling) -> tuple[Rows, Carry]:
-    """Columns of the rows after ``carry.done_until_s``, and the integrals up to the last row."""
+def _columns(
+    now: Samples,
+    following: tuple[Array, Array],
+    carry: Carry,
+    layout: Layout,
+    sampling: Sampling,
+) -> tuple[Rows, Carry]:
+    """Columns of the rows after ``carry.done_until_s``, and the integrals up to the last row.
+
+    ``following`` are the time (1,) and the attitude (1, 3, 3) of the next row that has one, if any.
+    """
     state = np.flatnonzero(now.has_state)
-    if len(state) == 0:
-        return _no_rows(layout), carry
     time, attitude = now.time_s[state], direction_cosines(now.attitude[state])
+    known = _attitudes(time, attitude, following, carry)
+    if len(known[0]) == 0:  # what is fired before the first attitude is in the initial momentum
+        return _no_rows(layout), carry
     counted = _Counted(now, carry.done_until_s)
-    fired = _impulses(counted, time, attitude, carry, sampling)
-    pairs = _pairs(counted, layout, sampling)
-    added = _cut_columns(pairs, layout, sampling)
+    fired = _impulses(counted, *known, carry, sampling)
+    pairs, weight = _pairs(counted, layout, sampling)
+    added = _cut_columns(pairs, weight, layout, sampling)
     cuts = carry.cuts + np.concatenate([np.zeros((1, len(carry.cuts))), np.cumsum(added, axis=0)])
-    gathered = replace(
-        carry, fired=fired[-1], cuts=cuts[-1], pairs=Pairs.joined([carry.pairs, pairs])
-    )
+    gathered = replace(carry, fired=fired[-1], cuts=cuts[-1], pairs=(*carry.pairs, pairs))
     new = time > carry.done_until_s
     if not new.any():
         return _no_rows(layout), gathered
@@ -604,13 +617,32 @@ class _Counted:
         return np.searchsorted(ends, time + SAME_S, side="right")
 
 
-def _settled(samples: Samples) -> int:
-    """Last row that may be worked up: the last reading after which the counters did not change."""
+def _attitudes(
+    time: Array, attitude: Array, following: tuple[Array, Array], carry: Carry
+) -> tuple[Array, Array]:
+    """Times (n,) and attitudes (n, 3, 3) of a stretch, with one before and one after it."""
+    times, attitudes = [time, following[0]], [attitude, following[1]]
+    begins = np.concatenate(times)[:1]
+    if carry.last_attitude is not None and not (begins <= carry.last_time_s).any():
+        times.insert(0, np.array([carry.last_time_s]))
+        attitudes.insert(0, carry.last_attitude[None])
+    return np.concatenate(times), np.concatenate(attitudes)
+
+
+def _settled(samples: Samples, complete: Places) -> int:
+    """Last row that may be worked up.
+
+    It is the last reading after which the counters did not change, and which a complete row
+    follows, or is.
+    """
     if samples.on_time_s.shape[1] == 0:
         return len(samples) - 1
+    if len(samples) >= MOST_WAITING:
+        complete = np.array([len(samples)])
     counted = np.flatnonzero(samples.has_counters)
     values = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
     same = np.flatnonzero(~np.any(np.diff(values, axis=0) != 0, axis=1))
+    same = same[counted[same] <= complete.max(initial=-1)]
     if len(same) == 0:
         return 0 if len(samples) < MOST_WAITING else len(samples) - 1
     return int(counted[same[-1]])
@@ -680,8 +712,11 @@ def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
     return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * ACROSS * across)
 
 
-def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
-    """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one."""
+def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs, Array]:
+    """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one.
+
+    Returns also how many there are (m, G), each by what it loses.
+    """
     active = counted.active
     groups = [list(couple) for couple in layout.couples]
     pulses = np.zeros((len(counted.pulses), len(groups)))
@@ -696,7 +731,7 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> Pairs:
     pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active])
     lose = sampling.cut_by_width(width)
     end_s, own = counted.time_s[active + 1], fired[active]
-    return Pairs(end_s, own, pairs * lose, pairs * lose**2, scatter, slopes)
+    return Pairs(end_s, own, pairs * lose**2, scatter, slopes), pairs * lose
 
 
 def _of_firings(
@@ -721,18 +756,18 @@ def _of_firings(
     return scatter, slopes, width
 
 
-def _cut_columns(pairs: Pairs, layout: Layout, sampling: Sampling) -> Array:
+def _cut_columns(pairs: Pairs, weight: Array, layout: Layout, sampling: Sampling) -> Array:
     """What every active interval adds to the columns of cut tails, (m, S)."""
     m, part = len(pairs.end_s), quarter_of(pairs.end_s, sampling.duration_s)
     table = np.zeros((m, len(layout.couples), CUT_COLUMNS))
-    table[:, :, 0] = pairs.weight
+    table[:, :, 0] = weight
     table[np.arange(m), :, 1 + part] = pairs.steps(sampling.pair_s2)
     return table.reshape(m, CUT_COLUMNS * len(layout.couples))
 
 
 def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
     """Part of the event (m,) that times lie in."""
-    return np.minimum((CUT_PARTS * time_s / duration_s).astype(np.intp), CUT_PARTS - 1)
+    return np.clip((CUT_PARTS * time_s / duration_s).astype(np.intp), 0, CUT_PARTS - 1)
 
 
 def effective_increments(

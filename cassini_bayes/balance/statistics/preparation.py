@@ -138,7 +138,8 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         are_told = are_cycles and width < (1.0 + LONGER) * control_cycle_s
         every = control_cycle_s if with_cycles else 0.0
         first_s = every if are_told else 0.0
-        late = LateRows(BLOCK_S, width, tuple(rates.tolist()), first_s, every)
+        usual_s = float(np.median(np.diff(at_readings.values))) / at_readings.stride
+        late = LateRows(BLOCK_S, BLOCK_S / usual_s, width, tuple(rates.tolist()), first_s, every)
         if are_told:
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:

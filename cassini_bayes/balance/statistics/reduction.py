@@ -31,12 +31,11 @@ from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.turns import (
+    LEAST_PIECE,
     SLOPE_WAVES,
     SWING_GROUPS,
-    PieceRule,
     piece_breaks,
     piece_ends,
-    piece_rule,
     turned,
 )
 from cassini_bayes.computing.arrays import Array, Places
@@ -44,7 +43,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
 MODES: Final = 512  # at 1 Hz the remainder is faster than 6 s in a bias of 1,500 s
-_FORMAT: Final = 22  # raised with every change of what is stored
+_FORMAT: Final = 23  # raised with every change of what is stored
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
 MOST_TIMES: Final = 4_096  # of rows, for what counters leave open: some percent of a small noise
 MOST_STEPS: Final = 384  # intervals with firings of a couple that are told apart
@@ -134,7 +133,8 @@ class CounterStatistics:
     (m,) widths of pulses in pairs; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
     on-time of a firing is known. Where rows have pulses
-    that are late, they are means over ``averaged`` rows in blocks of ``block_s``, ``late_width_s``
+    that are late, they are means over ``averaged`` rows in blocks of ``block_s`` (``block_rows``
+    usually), ``late_width_s``
     is the mean width of pulses, ``late_rate_hz`` (G,) how often couples fire, ``late_first_s`` and
     ``late_every_s`` the ages at which readings find a pulse (:class:`LateRows`). ``step_s`` is the
     step of counters whose on-times are not known exactly, else 0.
@@ -156,6 +156,7 @@ class CounterStatistics:
     widths_s: Array
     unsure_s: float
     block_s: float
+    block_rows: float
     averaged: float
     late_width_s: float
     late_rate_hz: Array
@@ -182,6 +183,7 @@ class CounterStatistics:
             gaps_s=tuple(self.gaps_s.tolist()),
             paired_s=tuple(self.paired_s.tolist()),
             block_s=self.block_s,
+            block_rows=self.block_rows,
         )
 
 
@@ -207,12 +209,14 @@ class ChannelSteps:
 class LateRows:
     """Of rows that have late pulses: length of their blocks, mean width of pulses, and how often.
 
-    ``block_s`` is 0 where rows are between firings; ``rate_hz`` (K,) is of every thruster. Readings
+    ``block_s`` is 0 where rows are between firings, else ``block_rows`` are usual in one;
+    ``rate_hz`` (K,) is of every thruster. Readings
     find a pulse ``first_s`` after it begins or any number of times ``every_s`` later, which is 0
     where they find it at any time.
     """
 
     block_s: float = 0.0
+    block_rows: float = 0.0
     width_s: float = 0.0
     rate_hz: tuple[float, ...] = ()
     first_s: float = 0.0
@@ -351,7 +355,7 @@ def reduce_chunks(
     block_rows: int = BLOCK_ROWS,
     prepared: Preparation | None = None,
 ) -> EventStatistics:
-    """Reduce telemetry that comes in chunks, in constant memory.
+    """Reduce telemetry that comes in chunks, in memory for one and for what was fired.
 
     Parameters
     ----------
@@ -376,6 +380,7 @@ def reduce_chunks(
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
         paired_s=prepared.paired_s or sampling.paired_s,
         block_s=prepared.late.block_s,
+        block_rows=prepared.late.block_rows,
     )
     carry, used, at_readings, interval = Carry.start(layout), 0, 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
@@ -418,7 +423,9 @@ def reduce_chunks(
         cuts=carry.cuts,
         counter_interval_s=interval,
         turns=turns.statistics(),
-        counters=_counter_statistics(carry.pairs, times, sampling, prepared, layout, averaged),
+        counters=_counter_statistics(
+            Pairs.joined(carry.pairs), times, sampling, prepared, layout, averaged
+        ),
         steps=prepared.steps,
         noise=prepared.noise,
         shown=ShownWheels(wheels.values),
@@ -502,6 +509,7 @@ def _counter_statistics(
         np.array(sampling.widths_s),
         sampling.unsure_s,
         sampling.block_s,
+        sampling.block_rows,
         averaged,
         late.width_s,
         np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in layout.couples])
@@ -524,8 +532,7 @@ def _joined(
     """
     quarter = quarter_of(pairs.end_s, duration_s)
     fired, steps, ratio = pairs.fired.copy(), steps.copy(), ratio.copy()
-    weight, square = pairs.weight.copy(), pairs.square.copy()
-    unlike, slopes = pairs.unlike.copy(), pairs.slopes.copy()
+    square, unlike, slopes = pairs.square.copy(), pairs.unlike.copy(), pairs.slopes.copy()
     for g in range(fired.shape[1]):
         own = np.flatnonzero(fired[:, g] | (steps[:, g] > 0.0))
         every = -(-len(own) // most)
@@ -534,7 +541,7 @@ def _joined(
         number = np.arange(len(own)) - np.searchsorted(quarter[own], quarter[own])
         starts = np.flatnonzero(number % every == 0)
         first, firings = own[starts], np.add.reduceat(fired[own, g].astype(np.float64), starts)
-        for each in (weight, square, unlike, steps, ratio, slopes):
+        for each in (square, unlike, steps, ratio, slopes):
             together = np.add.reduceat(each[own, g], starts, axis=0)
             each[own, g] = 0.0
             each[first, g] = together
@@ -543,7 +550,7 @@ def _joined(
         fired[first, g] = firings > 0.0
     kept = np.flatnonzero(fired.any(axis=1) | (steps > 0.0).any(axis=1))
     end_s, fired = pairs.end_s[kept], fired[kept]
-    joined = Pairs(end_s, fired, weight[kept], square[kept], unlike[kept], slopes[kept])
+    joined = Pairs(end_s, fired, square[kept], unlike[kept], slopes[kept])
     return joined, steps[kept], ratio[kept]
 
 
@@ -572,7 +579,6 @@ class _Turns:
     def __init__(self, layout: Layout, sampling: Sampling) -> None:
         size, waves = 3 * len(layout.vector) + len(layout.scalar), SLOPE_WAVES + 1
         self._layout, self._sampling = layout, sampling
-        self._rule: PieceRule | None = None
         self._waiting: list[Rows] = []
         self._before = 0  # rows of the piece before, by which a corner at the first row shows
         self._places = Thinned()  # (p, …) times, cosines, noise and walk, lines of wheel rates
@@ -587,16 +593,15 @@ class _Turns:
         """Take more rows; those of a piece that may go on wait."""
         rows = Rows.joined([*self._waiting, rows])
         self._waiting = [rows]
-        if self._rule is None and len(rows.time_s) > 2:
-            self._rule = piece_rule(rows.time_s, self._sampling)
-        self._work_up(is_last=False)
+        if len(rows.time_s) > LEAST_PIECE:
+            self._work_up(is_last=False)
 
     def _work_up(self, *, is_last: bool) -> None:
         """Gather the pieces that are over."""
-        if self._rule is None:
+        if not self._waiting or len(self._waiting[0].time_s) < LEAST_PIECE:
             return
         (rows,), first = self._waiting, self._before
-        breaks = piece_breaks(rows, self._layout, self._rule)
+        breaks = piece_breaks(rows, self._layout, self._sampling)
         ends = [first + end for end in piece_ends(rows.time_s[first:], breaks[first:])]
         if not is_last:
             ends = ends[:-1]

@@ -42,7 +42,7 @@ HALF_PERIODS_S: Final = (8.0, 4.0, 2.0)
 """Where contrasts beside the slopes are divided: noise that is summed up goes as their square."""
 SWING_GROUPS: Final = len(HALF_PERIODS_S) + 1
 SLOPE_WAVES: Final = 128  # cosines of the momentum that slopes of pieces are seen on
-GAP: Final = 2.5  # times the usual time between rows
+GAP: Final = 2.5  # times the time between the rows before, or after
 _NYQUIST: Final = 0.49  # cycles from row to row, nearly: nothing is left of the fastest
 
 
@@ -78,26 +78,6 @@ class Turned:
     swings: tuple[Array, ...]
     counts: Places
     squares: Array
-
-
-@dataclass(frozen=True)
-class PieceRule:
-    """Where pieces end.
-
-    ``usual_s`` is the usual time between rows. A wheel rate whose second difference exceeds
-    ``corner_rad_s`` (its noise) changes its acceleration; it matters where that times the step
-    exceeds ``corner_rad`` (what the trapezoid misses, against the attitude's noise).
-    """
-
-    usual_s: float
-    corner_rad_s: float = np.inf
-    corner_rad: float = np.inf
-
-
-def piece_rule(time_s: Array, sampling: Sampling) -> PieceRule:
-    """The rule for rows at times (n,)."""
-    usual = float(np.median(np.diff(time_s)))
-    return PieceRule(usual, sampling.corner_rad_s, sampling.corner_rad)
 
 
 @dataclass(frozen=True)
@@ -230,8 +210,7 @@ def _piece_modes(time_s: Array) -> tuple[Array, Array, float]:
 
 def pieces_of(rows: Rows, layout: Layout, sampling: Sampling) -> Pieces:
     """The quiet pieces of all rows of an event, at least two."""
-    rule = piece_rule(rows.time_s, sampling)
-    ends = piece_ends(rows.time_s, piece_breaks(rows, layout, rule))
+    ends = piece_ends(rows.time_s, piece_breaks(rows, layout, sampling))
     return Pieces(rows.time_s, np.array(ends))
 
 
@@ -252,12 +231,21 @@ def turns_between(cosines: Array) -> Array:
     return np.asarray(sine * stretch[:, None])
 
 
-def piece_breaks(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
+def piece_breaks(rows: Rows, layout: Layout, sampling: Sampling) -> Flags:
     """Whether a piece ends between a row and the next, (n − 1,): a firing, a gap, a corner."""
     fired = np.any(np.diff(rows.pulses, axis=0) != 0.0, axis=1)
-    return np.asarray(
-        fired | (np.diff(rows.time_s) > GAP * rule.usual_s) | _corners(rows, layout, rule)
-    )
+    return np.asarray(fired | gaps(rows.time_s) | _corners(rows, layout, sampling))
+
+
+def gaps(time_s: Array) -> Flags:
+    """Whether the time to the next row (n − 1,) is much more than that before or after it.
+
+    By its neighbours, not by what is usual in the event: rows may come more seldom from some time
+    on.
+    """
+    step = np.diff(time_s)
+    before, after = np.r_[np.inf, step[:-1]], np.r_[step[1:], np.inf]
+    return np.asarray(step > GAP * np.minimum(before, after))
 
 
 def piece_ends(time_s: Array, breaks: Flags) -> list[int]:
@@ -273,8 +261,13 @@ def piece_ends(time_s: Array, breaks: Flags) -> list[int]:
     return [*ends, len(time_s)]
 
 
-def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
-    """Intervals (n − 1,) next to a row at which a wheel changes its acceleration."""
+def _corners(rows: Rows, layout: Layout, sampling: Sampling) -> Flags:
+    """Intervals (n − 1,) next to a row at which a wheel changes its acceleration.
+
+    Its rate then has a second difference beyond ``corner_rad_s``, its noise; that matters where
+    times the step it exceeds ``corner_rad`` (what the trapezoid misses, against the attitude's
+    noise).
+    """
     n, vectors = len(rows.time_s), rows.vector.shape[2]
     found = np.zeros(max(n - 1, 0), dtype=bool)
     if n < 3:
@@ -283,7 +276,9 @@ def _corners(rows: Rows, layout: Layout, rule: PieceRule) -> Flags:
     step = np.diff(rows.time_s)[:, None]
     slope = np.diff(wheels, axis=0) / step
     bend = np.abs(np.diff(slope, axis=0)) * step[1:]
-    corner = np.any((bend > rule.corner_rad_s) & (bend * step[1:] > rule.corner_rad), axis=1)
+    corner = np.any(
+        (bend > sampling.corner_rad_s) & (bend * step[1:] > sampling.corner_rad), axis=1
+    )
     found[:-1] |= corner
     found[1:] |= corner
     return found
