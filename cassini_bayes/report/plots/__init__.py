@@ -112,12 +112,11 @@ def settle(figure: Figure, solutions: int = 2) -> None:
 
     engine = figure.get_layout_engine()
     if engine is not None:
-        for axes in figure.axes:
-            axes.tick_params(labelsize=STYLE["xtick.labelsize"])
-            for axis in (axes.xaxis, axes.yaxis):
+        with matplotlib.rc_context(dict(STYLE) | dict(_NO_LAYOUT)):
+            for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+                axis.set_tick_params(labelsize=axis.get_major_ticks(1)[0].label1.get_size())
                 if not axis.get_label_text():
                     axis.set_label_coords(0.0, 0.0)  # else it is placed anew beside the ticks
-        with matplotlib.rc_context(dict(STYLE) | dict(_NO_LAYOUT)):
             for _ in range(solutions):
                 engine.execute(figure)
             figure.set_layout_engine(None)

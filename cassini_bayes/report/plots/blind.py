@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from cassini_bayes.report.plots.style import INK, POSTERIOR, label_axes, styled_figure
@@ -16,31 +20,49 @@ EDGES = (0.0, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 20.0, 50.0, np.inf)
 """Of sizes in σ: finer where detection turns from chance to sure."""
 SIZE = "size (σ of the data)"
 TICKS = (0, 1, 2, 3, 5, 10, 30, 100)  # of the same axis
+ACROSS: Final = 3  # panels
+HALO: Final = withStroke(linewidth=2.0, foreground="white")  # of numbers over lines
 
 
 def blind_figure(trials: pd.DataFrame, reliability: pd.DataFrame, rates: pd.DataFrame) -> Figure:
-    """Power and coverage against size, reliability, p-values and false alarms on null, rates."""
-    with styled_figure(10.0, 6.6) as figure:
-        upper, lower = figure.subplots(2, 3)
-        single = trials[(trials["sigma"] != "") & ~trials["sigma"].str.contains(r"\+|nan")]
-        known = single[single["stratum"] != "uncatalogued"]
-        sigma = known["sigma"].astype(float).to_numpy()
-        _by_size(upper[0], sigma, known["named"].to_numpy(dtype=bool))
-        power = ("named first, group counts (fraction)", "power (number of trials)")
-        label_axes(upper[0], SIZE, *power)
-        _reliability(upper[1], reliability)
-        null = trials[trials["hidden"] == "none"]
-        _p_values(upper[2], null)
-        _false_alarms(lower[0], null)
-        covered = known["size_covered"].str.split().to_list()
-        each = np.repeat(sigma, [len(flags) for flags in covered])
-        hit = np.array([flag == "1" for flags in covered for flag in flags], dtype=bool)
-        _by_size(lower[1], each, hit)
-        lower[1].axhline(0.9, lw=0.8, color=INK)
-        coverage = ("90 % interval holds the truth (fraction)", "coverage (number of parameters)")
-        label_axes(lower[1], SIZE, *coverage)
-        _rates(lower[2], rates)
+    """Power and coverage against size, reliability, p-values and false alarms on null, rates.
+
+    Panels of which there are no trials are left out.
+    """
+    single = trials[(trials["sigma"] != "") & ~trials["sigma"].str.contains(r"\+|nan")]
+    known = single[single["stratum"] != "uncatalogued"]
+    null = trials[trials["hidden"] == "none"]
+    panels: list[Callable[[Axes], None]] = []
+    if len(known):
+        panels += [partial(_power, known=known), partial(_coverage, known=known)]
+    if len(reliability) > 1:
+        panels.append(partial(_reliability, reliability=reliability))
+    if len(null):
+        panels += [partial(_p_values, null=null), partial(_false_alarms, null=null)]
+    panels.append(partial(_rates, rates=rates))
+    lines = -(-len(panels) // ACROSS)
+    with styled_figure(10.0, 3.3 * lines) as figure:
+        grid = figure.subplots(lines, min(len(panels), ACROSS), squeeze=False).ravel()
+        for axes, draw in zip(grid, panels, strict=False):
+            draw(axes)
+        for spare in grid[len(panels) :]:
+            spare.set_visible(False)
     return figure
+
+
+def _power(axes: Axes, known: pd.DataFrame) -> None:
+    _by_size(axes, known["sigma"].astype(float).to_numpy(), known["named"].to_numpy(dtype=bool))
+    label_axes(axes, SIZE, "named first, group counts (fraction)", "power (number of trials)")
+
+
+def _coverage(axes: Axes, known: pd.DataFrame) -> None:
+    covered = known["size_covered"].str.split().to_list()
+    each = np.repeat(known["sigma"].astype(float).to_numpy(), [len(flags) for flags in covered])
+    hit = np.array([flag == "1" for flags in covered for flag in flags], dtype=bool)
+    _by_size(axes, each, hit)
+    axes.axhline(0.9, lw=0.8, color=INK)
+    words = ("90 % interval holds the truth (fraction)", "coverage (number of parameters)")
+    label_axes(axes, SIZE, *words)
 
 
 def _by_size(axes: Axes, sigma: NDArray[np.float64], hit: NDArray[np.bool_]) -> None:
@@ -54,7 +76,8 @@ def _by_size(axes: Axes, sigma: NDArray[np.float64], hit: NDArray[np.bool_]) -> 
             counts.append(int(inside.sum()))
     axes.plot(places, shares, "o-", color=POSTERIOR)
     for x, y, n in zip(places, shares, counts, strict=True):
-        axes.annotate(str(n), (x, y), textcoords="offset points", xytext=(4, 5), fontsize=7)
+        look: dict[str, Any] = {"textcoords": "offset points", "xytext": (0, 6), "ha": "center"}
+        axes.annotate(str(n), (x, y), fontsize=7, path_effects=[HALO], **look)
     axes.set_xscale("symlog", linthresh=1.0)
     axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
     axes.set_xlim(0.0, max(12.0, 1.3 * max(places, default=0.0)))
@@ -67,7 +90,7 @@ def _reliability(axes: Axes, reliability: pd.DataFrame) -> None:
     if len(bins):
         value, error = bins["right"], _reach(bins, "right")
         axes.errorbar(bins["mean_stated"], value, yerr=error, fmt="o", color=POSTERIOR, capsize=3)
-    across, up = "stated probability of the first cause (1)", "how often it was right (fraction)"
+    across, up = "probability stated (1)", "how often it was right (fraction)"
     label_axes(axes, across, up, "reliability, 95 % binomial bars")
 
 
@@ -112,16 +135,19 @@ def _rates(axes: Axes, rates: pd.DataFrame) -> None:
 
 
 def conditions_figure(counted: pd.DataFrame) -> Figure:
-    """Every rate by level of every condition, with 95 % binomial bars; rejected ones are filled.
+    """Rates of which there are trials, by level of every condition, with 95 % binomial bars.
+
+    Rejected ones are filled.
 
     ``counted`` has a row for every condition, level and rate: hits, trials, value, low_95, high_95,
     goal, rejected.
     """
-    names, levels = list(counted["rate"].unique()), counted[["condition", "level"]]
+    names = list(counted.loc[counted["trials"] > 0, "rate"].unique())
+    levels = counted[["condition", "level"]]
     levels = levels.drop_duplicates().agg(": ".join, axis=1).replace("all: all", "all")
     places = levels.str.replace("_", " ").to_list()
     with styled_figure(10.0, 1.2 + 0.23 * len(places)) as figure:
-        each = figure.subplots(1, len(names), sharey=True)
+        each = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for axes, name in zip(each, names, strict=True):
             rows = counted[counted["rate"] == name].reset_index(drop=True)
             shown = rows[rows["trials"] > 0]

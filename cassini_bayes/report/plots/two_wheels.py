@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from cassini_bayes.report.plots.style import INK, POSTERIOR, label_axes, styled_figure
 
-PANELS: Final = (("articulation", 1e3, "platform off by, mrad"), ("leak", 1e6, "leak, µN"))
+PANELS: Final = (("articulation", 1e3, "platform off by", "mrad"), ("leak", 1e6, "leak", "µN"))
 _WRONG: Final = "#CC6677"
 
 
@@ -24,7 +24,7 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
     with styled_figure(8.0, 4.0 * len(events)) as figure:
         grid = figure.subplots(len(events), len(PANELS), squeeze=False)
         for line, event in zip(grid, events, strict=True):
-            for axes, (stratum, factor, label) in zip(line, PANELS, strict=True):
+            for axes, (stratum, factor, label, unit) in zip(line, PANELS, strict=True):
                 rows = table[(table["event"] == event) & (table["stratum"] == stratum)]
                 rows = rows[np.isfinite(rows["size"].astype(float))]
                 for hit, colour, marker in ((True, POSTERIOR, "o"), (False, _WRONG, "D")):
@@ -35,6 +35,7 @@ def two_wheel_figure(table: pd.DataFrame) -> Figure:
                     axes.errorbar(x, y, yerr=bar, fmt=marker, label=name, **look)
                 axes.axline((0.0, 0.0), slope=1.0, lw=0.8, color=INK, zorder=0)
                 title = f"{event}, {len(rows)} trials"
-                label_axes(axes, f"hidden: {label}", "found, given the cause", title)
+                found = f"found, given the cause ({unit})"
+                label_axes(axes, f"hidden: {label} ({unit})", found, title)
         grid[0, 0].legend()
     return figure
