@@ -16,7 +16,6 @@ from scipy.linalg import block_diag, cho_solve, null_space, solve_triangular, sq
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from cassini_bayes.balance.open_counters import LEAST_RATIO
 from cassini_bayes.balance.statistics import (
     EventStatistics,
     Samples,
@@ -24,6 +23,7 @@ from cassini_bayes.balance.statistics import (
     layout_of,
     reduce_chunks,
 )
+from cassini_bayes.balance.statistics.long_levels import LEAST_RATIO
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
 from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
@@ -861,6 +861,19 @@ def _unknowns(
                 each = (scattered**2, plain_pulses(sampling, tau), open_.of_columns(term))
                 scatter = np.sqrt(sum(one.variance(*each) for one in steps))
                 own.append((scatter * cut[:, None] * step).reshape(-1))
+    for g, members in enumerate(couples):
+        step = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
+        sampling, times = term.event.sampling, np.array(rows.times)
+        if all(own != g for _, own in rows.shots):
+            continue
+        expected = sampling.pulse_reference_s
+        levels, long = plain_levels(term, rows, g, expected, times)
+        gained = [
+            np.mean(list(rows.slopes_of(g, plain_pulses(sampling, at)).values()))
+            for at in (tau, expected)
+        ]
+        levels = np.sqrt(open_.of_columns(term)) * gained[0] / gained[1] * levels[:, long]
+        own += [(column[:, None] * step).reshape(-1) for column in levels.T]
     return own, columns, mean
 
 
@@ -894,7 +907,6 @@ def plain_open(
         return total
     sampling = term.event.sampling
     _, scattered = plain_lost(term, tau, open_)
-    counters = term.event.statistics.counters
     for g, members in enumerate(sampling.couples):
         arm = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
         square = 0.0
@@ -906,22 +918,40 @@ def plain_open(
             for one in steps:
                 apart = ramps * (times >= one.time) - mean / whole
                 square += one.variance(*each) * apart @ share @ apart
-        slopes = rows.slopes_of(g, plain_pulses(sampling, tau))
-        ends = [ramps * np.ones(len(times))]
-        ends += [slopes[t] * ramps * (times >= t) for t, own in rows.shots if own == g]
-        levels = np.column_stack([a - b for a, b in pairwise([*ends, 0.0 * times])])
-        levels *= np.sqrt(open_.of_columns(term))
-        apart = np.diff(np.eye(levels.shape[1]), axis=0)
-        last = levels.shape[1] - 1
-        seen = np.zeros(last + 1)
-        spaces = max(int(last / counters.open_every[g]), 1)
-        seen[[round(last * i / spaces) for i in range(spaces + 1)]] = 1.0
-        ratio = np.maximum(counters.open_ratio[counters.fired[:, g], g], LEAST_RATIO)
-        precision = np.diag(seen) + apart.T @ (apart / ratio[:, None])
-        open_levels = counters.open_s2[g] * np.linalg.inv(precision)
-        square += np.trace(levels.T @ share @ levels @ open_levels)
+        levels, long = plain_levels(term, rows, g, tau, times, ramps)
+        levels = np.sqrt(open_.of_columns(term)) * levels[:, ~long]
+        square += np.trace(levels.T @ share @ levels)
         total += square * np.outer(arm, arm)
     return total
+
+
+def plain_levels(
+    term: TelemetryTerm,
+    rows: PlainRows,
+    couple: int,
+    tau: tuple[float, ...],
+    times: Array,
+    ramps: Array | float = 1.0,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Independent roundings of a couple in rows at times (n, l), and which of them are unknowns."""
+    counters = term.event.statistics.counters
+    slopes = rows.slopes_of(couple, plain_pulses(term.event.sampling, tau))
+    shots = [t for t, own in rows.shots if own == couple]
+    ends = [ramps * np.ones(len(times))]
+    ends += [slopes[t] * ramps * (times >= t) for t in shots]
+    levels = np.column_stack([a - b for a, b in pairwise([*ends, 0.0 * times])])
+    apart = np.diff(np.eye(levels.shape[1]), axis=0)
+    last = levels.shape[1] - 1
+    seen = np.zeros(last + 1)
+    spaces = max(int(last / counters.open_every[couple]), 1)
+    seen[[round(last * i / spaces) for i in range(spaces + 1)]] = 1.0
+    ratio = np.maximum(counters.open_ratio[counters.fired[:, couple], couple], LEAST_RATIO)
+    precision = np.diag(seen) + apart.T @ (apart / ratio[:, None])
+    upper = np.linalg.cholesky(precision).T
+    begins = counters.level_begin_s[counters.level_couple == couple]
+    long = [any(t == begin or abs(t - begin) < 1e-6 for begin in begins) for t in (-np.inf, *shots)]
+    patterns = np.sqrt(counters.open_s2[couple]) * levels @ np.linalg.inv(upper)
+    return patterns, np.array(long, dtype=bool)
 
 
 @dataclass(frozen=True)
@@ -943,11 +973,12 @@ class PlainTurns:
 def plain_turns(rows: PlainRows, sampling: Sampling) -> PlainTurns:
     """Pieces found by a loop over rows, their slopes and an orthonormal basis of all else."""
     n, times = len(rows.times), rows.times
-    usual = float(np.median(np.diff(times)))
     wheels = np.array(rows.wheels)
     pieces, piece = [], [0]
     for i in range(n - 1):
-        ends = times[i + 1] - times[i] > 2.5 * usual or times[i + 1] - times[piece[0]] > 32.0 + 1e-6
+        beside = [times[j + 1] - times[j] for j in (i - 1, i + 1) if 0 <= j < n - 1]
+        ends = bool(beside) and times[i + 1] - times[i] > 2.5 * min(beside)
+        ends = ends or times[i + 1] - times[piece[0]] > 32.0 + 1e-6
         ends = ends or any(np.array(rows.fired[i]) != np.array(rows.fired[i + 1]))
         for at in (i, i + 1):
             if 0 < at < n - 1:
@@ -1142,7 +1173,7 @@ def plain_bands(times: Array, samples: Samples) -> list[PlainBand]:
     if count == n:
         return bands
     rest = np.eye(n) - modes[:, :count] @ modes[:, :count].T
-    beyond = 2 * duration / np.pi**2 / (count - 0.5) * n / (n - count)
+    beyond = duration / (2 * np.pi * np.tan(np.pi * (count - 0.5) / (2 * n)) * (n - count))
     return [*bands, PlainBand(rest, beyond * rest, beyond * rest, False)]
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cassini_bayes.balance.band_products import BandProducts
-from cassini_bayes.balance.open_counters import level_patterns, step_patterns
+from cassini_bayes.balance.open_counters import short_levels, step_patterns
 from cassini_bayes.balance.rounded_wheels import HARMONICS, ShownRows, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics
 from cassini_bayes.balance.statistics.columns import cosines, walk_cosines, walk_scales
@@ -228,7 +228,7 @@ def open_modes(statistics: EventStatistics, places: Places, on_modes: Array) -> 
         square = np.concatenate([square, stride * (steps**2).sum(axis=0)[None]])
         pairs[:, g] = square @ counters.square[intervals, g]
         columns[:, g] = np.tensordot(square, counters.unlike[intervals, g], (1, 0))
-        levels = level_patterns(counters, g, step, weight)
+        levels = short_levels(counters, g, step, weight)
         if levels.any():
             used = levels.any(axis=(0, 2))
             levels = levels[:, used]

@@ -4,23 +4,21 @@ Pairs of pulses that may be close are steps of a variance each at the end of a c
 so are firings of pulses of unlike widths. The columns of cut tails take up the mean of a part of
 the event, c_j = Σ a_i H_i / Σ a_i, with H_i unit steps and a_i nominal variances; what stays are
 steps times H_i − c_j. The rounding of a counter is one
-independent level between two firings (docs/topics/telemetry-likelihood.md §7).
+independent level between two firings (docs/topics/telemetry-likelihood.md §7); those that last
+longest are unknowns of the event (:mod:`.statistics.long_levels`), the others are here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.columns import CUT_PARTS, LostTails, quarter_of
+from cassini_bayes.balance.statistics.long_levels import level_patterns, places_of
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
-from cassini_bayes.balance.statistics.rounded_counters import read_levels
 from cassini_bayes.computing.arrays import Array, Places
-
-LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
 
 def step_patterns(
@@ -65,29 +63,16 @@ def step_variances(counters: CounterStatistics, couple: int, scales: OpenScales)
     return scales.variance_s2(counters.square[:, couple], counters.unlike[:, couple])
 
 
-def level_patterns(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
-    """Patterns (n, C, s), in s of pulse columns and of variance 1, of a couple's rounded counters.
+def short_levels(counters: CounterStatistics, couple: int, step: Array, always: Array) -> Array:
+    """Patterns of a couple's rounded counters but the long ones, which are unknowns; as above.
 
-    Levels between two firings have the precision (1 + Dᵀ Q⁻¹ D)/σ² = Uᵀ U/σ² of
-    :class:`.rounded_counters.Rounding`, and the patterns are B U⁻¹, B what
-    a level leaves in the rows: its error is in the firing before it and, less, in the one after it,
-    by what columns gain per on-time. ``always`` (n, 1) is what a constant leaves in them.
+    Arguments and result as of :func:`.long_levels.level_patterns`.
     """
-    own = counters.fired[:, couple]
-    slopes = counters.slopes[own, couple]
-    size = slopes.shape[1]
-    first = always[:, None] * np.eye(size, 1)
-    ends = np.concatenate([first, step[:, None, own] * slopes.T], axis=2)
-    levels = -np.diff(ends, axis=2, append=0.0) * np.sqrt(counters.open_s2[couple])
-    bound = 1.0 / np.maximum(counters.open_ratio[own, couple], LEAST_RATIO)
-    if not bound.any() or not levels.any():
-        return np.asarray(levels)
-    diagonal = np.r_[bound, 0.0] + np.r_[0.0, bound]
-    diagonal[read_levels(len(diagonal), counters.open_every[couple])] += 1.0
-    factor = cholesky_banded(np.stack([np.r_[0.0, -bound], diagonal]))
-    lower = np.stack([factor[1], np.roll(factor[0], -1)])  # of U', by columns
-    flat = levels.reshape(-1, len(diagonal))
-    return np.asarray(solve_banded((1, 0), lower, flat.T).T).reshape(levels.shape)
+    patterns = level_patterns(counters, couple, step, always)
+    own = counters.level_couple == couple
+    ends = counters.end_s[counters.fired[:, couple]]
+    patterns[:, :, places_of(counters.level_begin_s[own], ends)] = 0.0
+    return patterns
 
 
 def patterns_at(
@@ -96,6 +81,6 @@ def patterns_at(
     """Steps (n, s) of every couple with their intervals (s,), and levels (n, C, l), at n times."""
     step = (time_s[:, None] >= counters.end_s).astype(np.float64)
     for couple in range(counters.square.shape[1]):
-        levels = level_patterns(counters, couple, step, np.ones((len(time_s), 1)))
+        levels = short_levels(counters, couple, step, np.ones((len(time_s), 1)))
         patterns, intervals = step_patterns(counters, couple, duration_s, step)
         yield patterns, intervals, levels[..., levels.any(axis=(0, 1))]

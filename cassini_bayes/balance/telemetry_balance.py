@@ -73,7 +73,7 @@ class EventUnknowns:
 
     @property
     def tails(self) -> slice:
-        """The cut tails."""
+        """The cut tails, and what else counters hide."""
         return slice(self.torque.stop, self.torque.stop + self.cuts)
 
     @property
@@ -104,13 +104,19 @@ class Pattern:
     cuts: tuple[int, ...]  # places among the columns of cut tails that are not all zero
     cut_pairs: Array  # (S,) pairs that may be close in what they stand for
     cut_unlike: Array  # (S, C, C) and what unlike pulses scatter in it, s²
+    level_slopes: Array  # (L, C) of roundings that are unknowns: what pulse columns gain by them
     fired: Places  # (3 C K,) of C pulse columns
     lost: Places  # (L,) tails that are cut on average
     lost_by: Places  # (L,) the thruster
-    members: Array  # (S, K) ones where a thruster is of the couple whose tails may have been cut
+    members: Array  # (S + L, K) ones where a thruster is of the couple that hides something
     brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
     wheels: Places  # (W,)
     turns: Places  # (3,) turns of the attitude
+
+    @property
+    def hidden(self) -> int:
+        """Unknowns that counters hide, S + L: cut tails and unlike pulses, long roundings."""
+        return len(self.members)
 
     @property
     def turned(self) -> Places:
@@ -366,7 +372,7 @@ class TelemetryBalance:
     @property
     def unknowns(self) -> EventUnknowns:
         """Places of the event's unknowns."""
-        return EventUnknowns(self.pattern.thrusters, len(self.pattern.cuts))
+        return EventUnknowns(self.pattern.thrusters, self.pattern.hidden)
 
 
 def make_balance(
@@ -489,14 +495,16 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         entries.append([*range(first, first + per_thruster), *own, *added.values()])
     entries += [[column] for column in range(layout.torque.stop)]
     entries += [[layout.cut.start + place] for place in cuts]
+    entries += [[column] for column in range(layout.level.start, layout.level.stop)]
     measured = [*range(layout.rate.start, layout.turn.stop)]
     torque = range(layout.torque.start, layout.torque.stop)
     entries.append([*measured, *torque, *_owned(layout, "").values()])
     start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
     thrusters = len(layout.thrusters)
-    members = np.zeros((len(cuts), thrusters))
-    for i, place in enumerate(cuts):
-        members[i, list(layout.couples[place // CUT_COLUMNS])] = 1.0
+    hiding = [*(place // CUT_COLUMNS for place in cuts), *layout.levels]
+    members = np.zeros((len(hiding), thrusters))
+    for i, g in enumerate(hiding):
+        members[i, list(layout.couples[g])] = 1.0
     places = np.array(lost, dtype=np.int64).reshape(-1, 2)
     pairs, unlike = _of_cut_columns(statistics, cuts)
     return Pattern(
@@ -506,6 +514,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         cuts=cuts,
         cut_pairs=pairs,
         cut_unlike=unlike,
+        level_slopes=_level_slopes(statistics),
         fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
         lost=places[:, 0],
         lost_by=places[:, 1],
@@ -535,6 +544,13 @@ def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[A
         pairs[i] = counters.square[own, couple].sum()
         unlike[i] = counters.unlike[own, couple].sum(axis=0)
     return pairs, unlike
+
+
+def _level_slopes(statistics: EventStatistics) -> Array:
+    """What pulse columns gain per on-time (L, C) for couples of long roundings, over the first."""
+    counters = statistics.counters
+    mean = [counters.slopes[counters.fired[:, g], g].mean(axis=0) for g in statistics.layout.levels]
+    return np.array([own / own[0] for own in mean]).reshape(-1, len(PULSE_COLUMNS))
 
 
 def _owned(layout: Layout, thruster: str) -> dict[str, int]:

@@ -148,8 +148,8 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, scales: OpenScal
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
         couples = pattern.members * event.thrusts_n @ arm
-        unit = cut_unit_s(event, scales)
-        weights[:, tails : tails + len(pattern.cuts)] = unit[..., None] * couples
+        unit = hidden_unit_s(event, scales)
+        weights[:, tails : tails + pattern.hidden] = unit[..., None] * couples
     return weights
 
 
@@ -157,22 +157,24 @@ def own_prior(
     event: TelemetryBalance, torque_mean_n_m: Array, torque_sd_n_m: Array
 ) -> tuple[Array, Array]:
     """Prior mean and sd (U,) of the event's own unknowns, independent normals."""
-    tails = np.ones(len(event.pattern.cuts))  # in units of their sd
+    tails = np.ones(event.pattern.hidden)  # in units of their sd
     return (
         np.concatenate([event.initial_mean_n_m_s, torque_mean_n_m, np.zeros(len(tails))]),
         np.concatenate([np.full(3, INITIAL_SD_N_M_S), torque_sd_n_m, tails]),
     )
 
 
-def cut_unit_s(event: TelemetryBalance, scales: OpenScales) -> Array:
-    """Cut tails per standard deviation of every unknown (n, S), over their columns.
+def hidden_unit_s(event: TelemetryBalance, scales: OpenScales) -> Array:
+    """What counters hide per standard deviation of every unknown (n, S + L), over their columns.
 
     Of a couple's departure from the share of close pairs: half of what is lost on average. Of a
-    part of the event: the scatter of its pairs and unlike pulses, over how many there are.
+    part of the event: the scatter of its pairs and unlike pulses, over how many there are. Of a
+    rounding: what its pulses gain per on-time.
     """
     pattern = event.pattern
     places = np.array(pattern.cuts, dtype=np.int64)
     of_all = SHARE_SPREAD * scales.lost.mean_s[:, None]
     variance = scales.variance_s2(pattern.cut_pairs, pattern.cut_unlike)
     of_part = np.sqrt(variance) / event.statistics.cuts[places]
-    return np.where(places % CUT_COLUMNS == 0, of_all, of_part)
+    of_cuts = np.where(places % CUT_COLUMNS == 0, of_all, of_part)
+    return np.concatenate([of_cuts, scales.pulse_weights @ pattern.level_slopes.T], axis=1)

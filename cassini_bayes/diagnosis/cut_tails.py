@@ -27,7 +27,8 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
     A cut tail takes F d (τ_f − τ_r) exp(−g/τ_f) off the momentum, g the time to the next pulse and
     d the couple's lever arm, and unlike pulses deliver more or less than is expected of their sum;
     a rounding gives about F d times itself until the next firing. Its size is known: the factor
-    that bands have on what coarse counters leave open counts only where it makes it larger.
+    on what coarse counters leave open counts only where it makes it larger. The longest roundings
+    are unknowns of the likelihood, so that here is what that factor lacks of them.
 
     Parameters
     ----------
@@ -46,6 +47,7 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
     columns, variances = [np.zeros((len(time_s), 3, 0))], [np.zeros(0)]
     physics = term.physics(model.points(z[None]))
     # few roundings may be small by chance, in bands of many rows; each by itself is what it is
+    lacking = float(np.maximum(1.0 - physics.open_factor, 0.0).max())
     physics = replace(physics, open_factor=np.maximum(physics.open_factor, 1.0))
     scales = open_scales(term.balance, physics)
     for g, (steps, intervals, levels) in enumerate(
@@ -56,4 +58,10 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
         columns += [steps[:, None] * torque, rounded[:, None] * torque]
         variance = step_variances(counters, g, scales)[0, intervals]
         variances += [np.maximum(variance, _LEAST), np.ones(levels.shape[2])]
+    if lacking > 0.0:  # the longest roundings are in the model already, with that factor
+        long = counters.long_levels
+        gained = scales.pulse_weights[0] @ term.balance.pattern.level_slopes.T
+        torques = scales.torque_n_m[0][:, long.couple] * gained * np.sqrt(lacking)
+        columns.append(long.at(time_s)[:, None] * torques)
+        variances.append(np.ones(len(long.couple)))
     return np.concatenate(columns, axis=2), np.concatenate(variances)

@@ -182,7 +182,7 @@ def effect_momentum(
             terms,
             smoothed(term.event.usable_rows, terms.statistics.layout),
             np.concatenate(weights) - balance_weights(terms, physics),
-            np.concatenate([*mean, np.zeros(len(terms.pattern.cuts))]),
+            np.concatenate([*mean, np.zeros(terms.pattern.hidden)]),
         )
         added += thrust_columns(base, z, place) @ np.concatenate(shifts).T
         result.append(added)
@@ -211,7 +211,7 @@ def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) 
 
 def _event_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
     sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
-    return np.concatenate([sd, np.ones(len(terms.pattern.cuts))])
+    return np.concatenate([sd, np.ones(terms.pattern.hidden)])
 
 
 def _stacked(

@@ -519,10 +519,10 @@ def test_late_records_are_not_weighed_where_pulses_are_late() -> None:
 
 def test_a_bias_without_rows_is_still_refused() -> None:
     """Two means of rows at readings tell nothing: the line says what would do."""
-    samples = ceaseless(45).part(0, 45)
+    samples = ceaseless(55).part(0, 55)
     priors = telemetry_priors()
     thrusters = priors.spacecraft.thruster_names("B")
-    sampling = sampling_of(priors, thrusters, 44.0, "first_order")
+    sampling = sampling_of(priors, thrusters, 54.0, "first_order")
     found = prepare([samples], 0.125, sampling.guard_s).found
     with pytest.raises(InputError, match="at readings of the counters, got 2 means over 32 s"):
         reduce_chunks(

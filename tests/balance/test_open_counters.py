@@ -9,11 +9,14 @@ import pytest
 
 from cassini_bayes.balance.open_counters import (
     OpenScales,
-    level_patterns,
     step_patterns,
     step_variances,
 )
 from cassini_bayes.balance.statistics.columns import LostTails, Sampling, lost_tails
+from cassini_bayes.balance.statistics.long_levels import (
+    NO_LEVELS,
+    level_patterns,
+)
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
 from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.computing.arrays import Array
@@ -50,12 +53,17 @@ def counters(pairs: list[float]) -> CounterStatistics:
         np.zeros(0),
         0.0,
         0.0,
+        0.0,
         1.0,
         0.0,
         np.zeros(1),
         0.0,
         0.0,
         0.0,
+        NO_LEVELS.couple,
+        NO_LEVELS.begin_s,
+        NO_LEVELS.end_s,
+        NO_LEVELS.value_s,
     )
 
 

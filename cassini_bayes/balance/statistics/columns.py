@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cassini_bayes.balance.statistics.counters import firings
+from cassini_bayes.balance.statistics.long_levels import NO_LEVELS, LongLevels
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
 from cassini_bayes.balance.statistics.rows import (
     SAME_S,
@@ -119,6 +120,7 @@ class Sampling:
     widths of pulses, means over firings, all as likely (without, pulses of steady thrust). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
     ``block_rows`` of them usually, whatever is still being delivered then (:mod:`.late`).
+    ``levels`` are roundings of counters that are unknowns.
     """
 
     pulse_shape: PulseShape
@@ -138,6 +140,7 @@ class Sampling:
     paired_s: tuple[float, ...] = (STEADY_S,)
     block_s: float = 0.0
     block_rows: float = 0.0
+    levels: LongLevels = field(default=NO_LEVELS, compare=False)
 
     @cached_property
     def pair_s2(self) -> float:
@@ -248,6 +251,7 @@ class Layout:
     thrusters: tuple[str, ...]
     couples: tuple[tuple[int, ...], ...]
     cosines: int  # of torque noise that are unknowns
+    levels: tuple[int, ...] = ()  # couples of roundings that are unknowns
     extra: tuple[str, ...] = ()
 
     @cached_property
@@ -275,6 +279,10 @@ class Layout:
                 f"cut:{self.thrusters[couple[0]]}:{part}"
                 for couple in self.couples
                 for part in ("mean", *range(CUT_PARTS))
+            ),
+            *(
+                f"level:{self.thrusters[self.couples[couple][0]]}:{place}"
+                for place, couple in enumerate(self.levels)
             ),
             *self.extra,
         )
@@ -330,9 +338,14 @@ class Layout:
         return slice(self.turn.stop, self.turn.stop + CUT_COLUMNS * len(self.couples))
 
     @property
+    def level(self) -> slice:
+        """Roundings of counters that are unknowns."""
+        return slice(self.cut.stop, self.cut.stop + len(self.levels))
+
+    @property
     def extra_place(self) -> slice:
         """Columns that effects brought."""
-        return slice(self.cut.stop, self.size)
+        return slice(self.level.stop, self.size)
 
 
 def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Sampling) -> Layout:
@@ -522,9 +535,9 @@ def _columns(
     known = _attitudes(time, attitude, following, carry)
     if len(known[0]) == 0:  # what is fired before the first attitude is in the initial momentum
         return _no_rows(layout), carry
-    counted = _Counted(now, carry.done_until_s)
+    counted = Counted(now, carry.done_until_s)
     fired = _impulses(counted, *known, carry, sampling)
-    pairs, weight = _pairs(counted, layout, sampling)
+    pairs, weight = pairs_of(counted, layout, sampling)
     added = _cut_columns(pairs, weight, layout, sampling)
     cuts = carry.cuts + np.concatenate([np.zeros((1, len(carry.cuts))), np.cumsum(added, axis=0)])
     gathered = replace(carry, fired=fired[-1], cuts=cuts[-1], pairs=(*carry.pairs, pairs))
@@ -560,6 +573,7 @@ def _columns(
             context.wheel_rad_s,
             np.zeros((n, 3)),
             cuts[index],
+            sampling.levels.at(time[keep]),
             *(extra.values(context)[:, None] for extra in sampling.extra),
         ],
         axis=1,
@@ -598,7 +612,7 @@ def walk_columns(time_s: Array, since_start: Array, duration_s: float, count: in
     return np.asarray(columns.reshape(len(time_s), 3, 3 * count))
 
 
-class _Counted:
+class Counted:
     """Counter intervals of a stretch of telemetry in which something fired, after a time."""
 
     def __init__(self, samples: Samples, after_s: float) -> None:
@@ -676,7 +690,7 @@ def _torque_integral(time: Array, attitude: Array, carry: Carry) -> Array:
 
 
 def _impulses(
-    counted: _Counted, time: Array, attitude: Array, carry: Carry, sampling: Sampling
+    counted: Counted, time: Array, attitude: Array, carry: Carry, sampling: Sampling
 ) -> Array:
     """Σ Pᵀ Δs per thruster and pulse column after each active interval, (1 + m, K, C, 3, 3)."""
     active = counted.active
@@ -712,7 +726,7 @@ def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
     return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * ACROSS * across)
 
 
-def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs, Array]:
+def pairs_of(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs, Array]:
     """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one.
 
     Returns also how many there are (m, G), each by what it loses.
@@ -734,9 +748,7 @@ def _pairs(counted: _Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs
     return Pairs(end_s, own, pairs * lose**2, scatter, slopes), pairs * lose
 
 
-def _of_firings(
-    counted: _Counted, layout: Layout, sampling: Sampling
-) -> tuple[Array, Array, Array]:
+def _of_firings(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Array, Array, Array]:
     """What unlike pulses of a firing scatter (m, G, C, C), where it ends, slopes (m, G, C), widths.
 
     Widths (m, G), s, are means over the pulses of a firing, 0 without one.

@@ -144,7 +144,8 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
             pulses = delivered_pulses(expected.on_time_s, pulses, control_cycle_s)
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)
-    found = Preparation(steps, noise, time, expected.rounding, gaps, paired, widths, late)
+    on_times = (time, expected.on_time_s, pulses)
+    found = Preparation(steps, noise, *on_times, expected.rounding, gaps, paired, widths, late)
     return Prepared(found, time, expected.on_time_s, pulses, end_s)
 
 

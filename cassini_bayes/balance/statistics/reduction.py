@@ -8,7 +8,7 @@ not depend on the number of samples (``docs/topics/telemetry-likelihood.md`` §6
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -19,13 +19,21 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics.channel_noise import NOT_SEEN, ChannelNoise
 from cassini_bayes.balance.statistics.columns import (
     Carry,
+    Counted,
     Layout,
     Pairs,
     Rows,
     Sampling,
+    pairs_of,
     quarter_of,
     settle,
     walk_cosines,
+)
+from cassini_bayes.balance.statistics.long_levels import (
+    NO_LEVELS,
+    KnownLevels,
+    LongLevels,
+    longest,
 )
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
@@ -137,7 +145,8 @@ class CounterStatistics:
     usually), ``late_width_s``
     is the mean width of pulses, ``late_rate_hz`` (G,) how often couples fire, ``late_first_s`` and
     ``late_every_s`` the ages at which readings find a pulse (:class:`LateRows`). ``step_s`` is the
-    step of counters whose on-times are not known exactly, else 0.
+    step of counters whose on-times are not known exactly, else 0. ``level_…`` are roundings that
+    are unknowns (:class:`.LongLevels`).
     """
 
     row_time_s: Array
@@ -163,6 +172,10 @@ class CounterStatistics:
     late_first_s: float
     late_every_s: float
     step_s: float
+    level_couple: Places
+    level_begin_s: Array
+    level_end_s: Array
+    level_value_s: Array
 
     @property
     def has_late_pulses(self) -> bool:
@@ -174,6 +187,13 @@ class CounterStatistics:
         """Whether what counters leave open is so much that its size matters."""
         return self.step_s > COARSE_STEP_S
 
+    @property
+    def long_levels(self) -> LongLevels:
+        """Roundings that are unknowns."""
+        return LongLevels(
+            self.level_couple, self.level_begin_s, self.level_end_s, self.level_value_s
+        )
+
     def seen_by(self, sampling: Sampling) -> Sampling:
         """A sampling with what the event's counters say of its pulses."""
         return replace(
@@ -184,6 +204,7 @@ class CounterStatistics:
             paired_s=tuple(self.paired_s.tolist()),
             block_s=self.block_s,
             block_rows=self.block_rows,
+            levels=self.long_levels,
         )
 
 
@@ -230,6 +251,8 @@ class Preparation:
     steps: ChannelSteps = ChannelSteps()
     noise: ChannelNoise = NOT_SEEN
     read_s: Array = field(default_factory=lambda: np.zeros(0))  # (m,) readings around changes
+    on_time_s: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, K) expected there
+    pulses: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, K) counted there
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     paired_s: tuple[float, ...] = ()  # widths of pulses that may be close
@@ -382,6 +405,8 @@ def reduce_chunks(
         block_s=prepared.late.block_s,
         block_rows=prepared.late.block_rows,
     )
+    sampling = replace(sampling, levels=_long_levels(prepared, layout, sampling))
+    layout = replace(layout, levels=sampling.levels.couples)
     carry, used, at_readings, interval = Carry.start(layout), 0, 0, 0.0
     size = 3 * len(layout.vector) + len(layout.scalar)
     inner = _Inner(np.zeros((size, size)), np.zeros((MODES, size)), np.zeros((MODES, MODES)))
@@ -477,6 +502,29 @@ class Thinned:
         return np.concatenate(self.kept)
 
 
+def _long_levels(prepared: Preparation, layout: Layout, sampling: Sampling) -> LongLevels:
+    """Roundings that are unknowns, of counters in coarse steps, from a first look at them."""
+    coarse = any(one.step_s > COARSE_STEP_S for one in prepared.rounding)
+    if not coarse or sampling.block_s > 0.0 or len(prepared.on_time_s) == 0:
+        return NO_LEVELS
+    nothing = np.full((len(prepared.read_s), 4), np.nan)
+    samples = Samples(
+        prepared.read_s, nothing, nothing[:, :3], nothing[:, :1], prepared.on_time_s,
+        prepared.pulses,
+    )  # fmt: skip
+    pairs, _ = pairs_of(Counted(samples, -np.inf), layout, sampling)
+    by_couple = _by_couple(prepared.rounding, layout)
+    known = KnownLevels(
+        pairs.end_s,
+        pairs.fired,
+        pairs.slopes,
+        np.array([one.variance_s2 for one in by_couple]),
+        _open_ratios(by_couple, prepared.read_s, pairs.end_s),
+        np.array([one.every for one in by_couple]),
+    )
+    return longest(known, sampling.duration_s)
+
+
 def _counter_statistics(
     pairs: Pairs,
     times: Thinned,
@@ -491,7 +539,8 @@ def _counter_statistics(
     ratio = _open_ratios(by_couple, prepared.read_s, pairs.end_s)
     rows = max(len(times.values) * times.stride, 1)
     most = min(MOST_STEPS, STEPS_BY_ROW * rows)
-    pairs, steps, ratio = _joined(pairs, steps, ratio, sampling.duration_s, most)
+    whole = frozenset(sampling.levels.couples)
+    pairs, steps, ratio = _joined(pairs, steps, ratio, sampling.duration_s, most, whole)
     return CounterStatistics(
         times.values,
         times.stride,
@@ -518,17 +567,26 @@ def _counter_statistics(
         late.first_s,
         late.every_s,
         max((one.step_s for one in by_couple), default=0.0),
+        sampling.levels.couple,
+        sampling.levels.begin_s,
+        sampling.levels.end_s,
+        sampling.levels.value_s,
     )
 
 
 def _joined(
-    pairs: Pairs, steps: Array, ratio: Array, duration_s: float, most: int
+    pairs: Pairs,
+    steps: Array,
+    ratio: Array,
+    duration_s: float,
+    most: int,
+    whole: Container[int] = (),
 ) -> tuple[Pairs, Array, Array]:
     """Intervals with their steps and ratios (m, G), a couple's neighbours joined beyond so many.
 
     What joined ones have together is in the first of them: each couple has its own, as a level in a
     wrong place shows. None is joined over a quarter's end, as a column of cut tails stands for what
-    is in its own quarter.
+    is in its own quarter. Couples that are to stay ``whole`` keep theirs.
     """
     quarter = quarter_of(pairs.end_s, duration_s)
     fired, steps, ratio = pairs.fired.copy(), steps.copy(), ratio.copy()
@@ -536,7 +594,7 @@ def _joined(
     for g in range(fired.shape[1]):
         own = np.flatnonzero(fired[:, g] | (steps[:, g] > 0.0))
         every = -(-len(own) // most)
-        if every < 2:
+        if every < 2 or g in whole:
             continue
         number = np.arange(len(own)) - np.searchsorted(quarter[own], quarter[own])
         starts = np.flatnonzero(number % every == 0)
@@ -732,6 +790,7 @@ def load_statistics(path: Path) -> EventStatistics | None:
             tuple(str(name) for name in stored["thrusters"]),
             couples_from(stored["couples"]),
             walk_cosines(float(stored["duration_s"])),
+            tuple(int(couple) for couple in stored["counters.level_couple"]),
         )
         return EventStatistics(
             str(stored["event_id"]),

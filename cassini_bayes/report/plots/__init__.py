@@ -114,7 +114,7 @@ def settle(figure: Figure, solutions: int = 2) -> None:
     if engine is not None:
         with matplotlib.rc_context(dict(STYLE) | dict(_NO_LAYOUT)):
             for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-                axis.set_tick_params(labelsize=axis.get_major_ticks(1)[0].label1.get_size())
+                axis.set_tick_params(labelsize=axis.get_major_ticks(1)[0].label1.get_fontsize())
                 if not axis.get_label_text():
                     axis.set_label_coords(0.0, 0.0)  # else it is placed anew beside the ticks
             for _ in range(solutions):

@@ -112,7 +112,7 @@ def _known(none: Hypothesis, events: Events, truth: Truth, width: int) -> Array:
         values = truth.of(event.id)
         torque = np.array([values[f"external_torque_{axis}_n_m"] for axis in "xyz"])
         known[place + 3 : place + 6] = torque - model.torque_mean_n_m
-        place += 6 + len(term.balance.pattern.cuts)
+        place += 6 + term.balance.pattern.hidden
     return known
 
 
