@@ -22,13 +22,13 @@ import numpy as np
 from cassini_bayes.balance.band_products import BandProducts
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import (
-    ChannelNoise,
     Entries,
     FastBands,
     FlatRows,
     SlowBands,
     Turns,
     TurnSums,
+    TurnVariances,
 )
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares
@@ -205,7 +205,7 @@ class ChannelVariances(NamedTuple):
     rate: Array  # (n,) of a measured body rate, rad²/s²
     attitude: Array  # (n,), rad²
     wheels: Array  # (n, S + F, W) of measured wheel rates, by band, rad²/s²
-    turns: ChannelNoise
+    turns: TurnVariances
 
 
 class Answered(NamedTuple):
