@@ -695,7 +695,7 @@ def estimated_wheels(
     rows
         R of the band.
     nodes, coefficients
-        Its table, as in :class:`SlowBand`.
+        Its table, as in :class:`FastBands`.
     moments
         (3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
     other

@@ -1,7 +1,7 @@
 """The physics of an event at a batch of parameter points: what every likelihood is built from.
 
 One place turns parameter names into inertia, wheel momentum, lever arms and pulse parameters.
-Effects that extend the model (:mod:`cassini_bayes.diagnosis`) change a :class:`Physics` and nothing
+Effects that extend the model (:mod:`cassini_bayes.effects`) change a :class:`Physics` and nothing
 else, so totals rows and telemetry see the same effect in the same way.
 """
 
