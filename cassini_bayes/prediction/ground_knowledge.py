@@ -19,7 +19,7 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
-from cassini_bayes.prediction.physics import Physics
+from cassini_bayes.prediction.physics import PhysicsDraws
 from cassini_bayes.prediction.regressions import Regression, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
@@ -88,7 +88,7 @@ def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tu
 def hydrazine_regression(
     model: Model,
     events: tuple[TotalsEvent, ...],
-    physics: Physics,
+    physics: PhysicsDraws,
     layout: PairLayout,
     beliefs: Beliefs,
     rng: np.random.Generator,

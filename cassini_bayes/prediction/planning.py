@@ -30,7 +30,7 @@ from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import group_impulse, hydrazine_g
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
-    Physics,
+    PhysicsDraws,
     arms_of,
     demand_of,
     features_of,
@@ -298,7 +298,7 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     return on_time[0], lasts, grams
 
 
-def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> float:
+def _grams(typical: Learned, physics: PhysicsDraws, on_time: Array, rate: Array) -> float:
     if typical.hydrazine is None:
         return float("nan")
     effective = on_time * stretch(typical.model, physics, rate)
