@@ -28,14 +28,9 @@ def noise_covariance(
     event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
-    kept: Array | None = None,
 ) -> Array:
-    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
-
-    ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
-    estimated.
-    """
-    of_wheels = wheel_covariance(event, physics, parameters, kept)
+    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)²."""
+    of_wheels = wheel_covariance(event, physics, parameters)
     other = covariance_beside_wheels(event, physics, channel_variances(event, parameters))
     return np.asarray(other + of_wheels + late_covariance(event, physics))
 
@@ -46,7 +41,10 @@ def wheel_covariance(
     parameters: Mapping[str, Array],
     kept: Array | None = None,
 ) -> Array:
-    """Covariance (n, 3, 3) of what wheel rates put into a row, (N m s)²; ``kept`` as above."""
+    """Covariance (n, 3, 3) of what wheel rates put into a row, (N m s)².
+
+    ``kept`` (n, W, W) is the share of their noise that stays where their true rates are estimated.
+    """
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
     noise = wheel_variance(event, parameters)[:, None, :]

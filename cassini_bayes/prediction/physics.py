@@ -80,10 +80,10 @@ class PhysicsDraws:
 
 def importance_physics(
     model: Model, rng: np.random.Generator, size: int
-) -> tuple[PhysicsDraws, float, float]:
+) -> tuple[PhysicsDraws, float]:
     """Draws from the posterior of a model: mode, Laplace, importance sampling, resampling.
 
-    Returns the draws, the efficiency of the importance draws and their Pareto k̂.
+    Returns the draws and the Pareto k̂ of the importance draws.
     """
     from cassini_bayes.sampling.warmstart import warm_start
 
@@ -95,7 +95,7 @@ def importance_physics(
         software_of(integrated) if model.totals_rows.computed is not None else np.zeros((size, 2))
     )
     physics = PhysicsDraws(values, thrusts.thrust_n, thrusts.level_n, software)
-    return physics, warm.draws.efficiency, warm.draws.pareto_k
+    return physics, warm.draws.pareto_k
 
 
 def physics_of_fit(
