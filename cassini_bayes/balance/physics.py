@@ -28,7 +28,6 @@ from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 Parameters = Mapping[str, Array | float]
 
 PULSE_PARAMETERS: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
-CENTRE_PARAMETERS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
 INERTIA_PARAMETERS: Final = tuple(
     f"inertia_{element}_kg_m2" for element in ("xx", "yy", "zz", "xy", "xz", "yz")
 )

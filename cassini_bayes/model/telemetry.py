@@ -35,7 +35,6 @@ from cassini_bayes.balance.measured_delta_v import (
     delta_v_information,
 )
 from cassini_bayes.balance.physics import (
-    CENTRE_PARAMETERS,
     INERTIA_PARAMETERS,
     PULSE_PARAMETERS,
     Modifier,
@@ -71,6 +70,7 @@ from cassini_bayes.model.terms import (
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.spacecraft.parameters import (
     CLOSE_SHARE,
     LATE_FACTOR,
@@ -451,7 +451,7 @@ def telemetry_parameters(
     names = [*INERTIA_PARAMETERS, *NOISE_LEVELS]
     names += shared.spacecraft.wheel_parameters(wheels)
     if fires:
-        names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_PARAMETERS]
+        names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_OF_MASS]
         names += [*shared.spacecraft.geometry[shared.branch].parameters]
         names += shared.thrust_prior.walked
     if has_late_pulses:

@@ -22,11 +22,12 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, log_posterior
-from cassini_bayes.model.totals import SOFTWARE, software_of
+from cassini_bayes.model.totals import software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
 from cassini_bayes.prediction.wheel_profile import WheelManager, piece_times_s, segments_rpm
 from cassini_bayes.results.record import Fit
+from cassini_bayes.spacecraft.parameters import SOFTWARE
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")

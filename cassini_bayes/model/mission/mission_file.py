@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime, time
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -15,6 +15,7 @@ from cassini_bayes.files.checks import in_utc
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.units import YEAR_S
 
 
 def _within_calendar(epoch: datetime | date) -> datetime | date:
@@ -26,7 +27,6 @@ def _within_calendar(epoch: datetime | date) -> datetime | date:
 
 Epoch = Annotated[datetime | date, AfterValidator(_within_calendar)]
 What = Literal["recharge", "branch_swap", "separation", "burn", "articulation"]
-YEAR_S: Final = 365.25 * 86_400.0
 
 
 class ChangeTable(Table):
