@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from cassini_bayes.balance.linearised import InnovationRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear, change_of_evidence
 from cassini_bayes.balance.part_columns import spread
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
@@ -143,9 +143,7 @@ class _Kind:
 
     def log_evidence(self, amplitude: Array) -> Array:
         """log p(y | a) (n,) up to a constant."""
-        square = amplitude[:, None] ** 2
-        grown = 1.0 + square * self.kappa
-        return np.asarray(0.5 * (square * self.projection**2 / grown - np.log(grown)).sum(-1))
+        return change_of_evidence(self.kappa, self.projection, amplitude)
 
 
 def _waves(event: InnovationRows, time_s: Array) -> Array:
@@ -180,9 +178,7 @@ def _information(
     linear: Linear, rows: Sequence[InnovationRows], point: Array
 ) -> tuple[Array, Array]:
     """Gᵀ V⁻¹ G (q, q) and Gᵀ V⁻¹ y (q,), y about the prior mean; modes, then axes."""
-    mean = np.zeros(len(linear.precision))
-    mean[: len(point)] = -point
-    target = linear.target - linear.columns @ mean
+    target = linear.about_prior_mean(point)
     own_gram, mixed, own_projection = [], [], []
     for event, part, known in zip(rows, linear.parts, linear.columns.parts, strict=True):
         n = len(event.time_s)
