@@ -36,6 +36,7 @@ from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
 from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.balance.statistics.reduction import couple_of
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft
@@ -111,6 +112,11 @@ class Pattern:
     brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
     wheels: Places  # (W,)
     turns: Places  # (3,) turns of the attitude
+
+    @property
+    def owner(self) -> Places:
+        """(B,) the unknown that every entry is a column of."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     @property
     def turned(self) -> Places:
@@ -480,7 +486,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     per_thruster = 3 * len(PULSE_COLUMNS)
     for k, name in enumerate(layout.thrusters):
         first = layout.fired.start + per_thruster * k
-        couple = next(g for g, members in enumerate(layout.couples) if k in members)
+        couple = couple_of(k, layout)
         own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
         after = sum(map(len, entries)) + per_thruster
         lost += [(after + i, k) for i in range(len(own))]
