@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -82,7 +82,6 @@ from cassini_bayes.spacecraft.parameters import (
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
 TORQUE_NOISE: Final = "torque_noise_n_m_s05"
-_MOST_POINTS: Final = 1_000  # worked up at a time: normal equations take 10 kB each
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,9 @@ class TelemetryTerm:
     balance: TelemetryBalance
     parameters: tuple[str, ...]
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
-    density_name: str = "event_data"
-    most_points: int = _MOST_POINTS
-    integrated: tuple[str, ...] = ()
+    density_name: ClassVar[str] = "event_data"
+    most_points: ClassVar[int] = 1_000  # worked up at a time: normal equations take 10 kB each
+    integrated: ClassVar[tuple[str, ...]] = ()
 
     @property
     def id(self) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
@@ -75,8 +75,8 @@ class TotalsTerm:
     computed: ComputedDeltaV | None  # ΔV computed on board, where events have it
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
     acting: tuple[tuple[bool, ...], ...] = ()  # of every modifier: in which rows
-    density_name: str = "totals"
-    most_points: int = ALL_POINTS
+    density_name: ClassVar[str] = "totals"
+    most_points: ClassVar[int] = ALL_POINTS
 
     @property
     def stack(self) -> TotalsStack:
