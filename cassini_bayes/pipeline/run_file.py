@@ -77,7 +77,13 @@ def is_resolved(path: Path) -> bool:
 
 
 def check_run(table: dict[str, Any], where: str) -> RunFile:
-    """Check the table of a run file."""
+    """Check the table of a run file.
+
+    Raises
+    ------
+    InputError
+        Unknown key (with the nearest one), wrong type or range.
+    """
     run = validated(RunFile, table, where)
     if run.model.pulse_shape not in PULSE_SHAPES:
         raise InputError(

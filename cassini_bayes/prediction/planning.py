@@ -124,7 +124,13 @@ def quantity_draws(learned: Learned, name: str) -> Array:
 
 
 def end_rates(levels: int) -> Array:
-    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs."""
+    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs.
+
+    Raises
+    ------
+    InputError
+        Not even one level.
+    """
     if levels < 1:
         raise InputError("--levels", "at least 1", str(levels), "ask for more levels")
     steps = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, levels) if levels > 1 else np.array([LOW_RPM])

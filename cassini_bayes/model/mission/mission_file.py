@@ -159,7 +159,13 @@ def read_mission_file(path: Path) -> MissionTable:
 
 
 def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
-    """Check the table of a mission file."""
+    """Check the table of a mission file.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_mission_file`.
+    """
     mission = validated(MissionTable, table, where)
     _require_order(f"{where}: dated", [fact.epoch for fact in mission.dated])
     readings = [] if mission.pressure is None else mission.pressure.readings
