@@ -18,7 +18,7 @@ from cassini_bayes.model.totals import software_of
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
-from cassini_bayes.prediction.physics import Physics
+from cassini_bayes.prediction.physics import PhysicsDraws
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.fitting import ALL_MET
 from cassini_bayes.results.groups import build_fit
@@ -46,13 +46,13 @@ def model() -> Model:
     return build_model(events, priors)
 
 
-def physics(n: int = SIZE, seed: int = 3) -> Physics:
+def physics(n: int = SIZE, seed: int = 3) -> PhysicsDraws:
     """Draws near the prior's centre with thrusts drawn from their exact conditional."""
     rng = np.random.default_rng(seed)
     z = 0.3 * rng.standard_normal((n, len(model().space.names)))
     draws = draw(model(), z, rng)
     full: Mapping[str, Array | float] = {**draws.parameters, **model().idle}
-    return Physics(
+    return PhysicsDraws(
         full, draws.thrusts.thrust_n, draws.thrusts.level_n, software_of(draws.integrated[0])
     )
 

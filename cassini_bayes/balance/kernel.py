@@ -97,8 +97,8 @@ class FlatRows(NamedTuple):
     fast_walk: Array  # (f,) s
 
 
-class ChannelNoise(NamedTuple):
-    """Noise of channels at n points: of each as many as there are points, or one for all."""
+class TurnVariances(NamedTuple):
+    """Variances of channels at n points, for turns: of each as many as points, or one for all."""
 
     rate: Array  # (n,) variance of a measured body rate, rad²/s²
     attitude: Array  # (n,) variance of an attitude, rad²
@@ -404,11 +404,11 @@ def without_own(
 
 
 @compiled_sums
-def turn_covariances(
+def gain_and_covariance(
     by_rate: Array,
     inertia: Array,
     wheels: Array,
-    noise: ChannelNoise,
+    noise: TurnVariances,
     left_open: Array,
     sums: TurnSums,
     torque_s3: Array,
@@ -695,7 +695,7 @@ def estimated_wheels(
     rows
         R of the band.
     nodes, coefficients
-        Its table, as in :class:`SlowBand`.
+        Its table, as in :class:`FastBands`.
     moments
         (3 + W, 3 + W) mean products of u, N m s, and the measured rates, rad/s.
     other

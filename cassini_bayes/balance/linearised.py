@@ -20,7 +20,7 @@ from cassini_bayes.computing.arrays import Array, Places
 
 
 @dataclass(frozen=True)
-class EventRows:
+class InnovationRows:
     """What a model leaves of one event's rows, and the channels there.
 
     ``residual_n_m_s`` (n, 3) is momentum about body axes, ``white`` (n, 3) the same whitened:

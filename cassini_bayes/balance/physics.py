@@ -1,7 +1,7 @@
 """The physics of an event at a batch of parameter points: what every likelihood is built from.
 
 One place turns parameter names into inertia, wheel momentum, lever arms and pulse parameters.
-Effects that extend the model (:mod:`cassini_bayes.diagnosis`) change a :class:`Physics` and nothing
+Effects that extend the model (:mod:`cassini_bayes.effects`) change a :class:`Physics` and nothing
 else, so totals rows and telemetry see the same effect in the same way.
 """
 
@@ -28,7 +28,6 @@ from cassini_bayes.spacecraft.pulses import PulseShape, effective_on_time
 Parameters = Mapping[str, Array | float]
 
 PULSE_PARAMETERS: Final = ("tau_delay_s", "tau_rise_s", "tau_fall_s")
-CENTRE_PARAMETERS: Final = ("cm_x_m", "cm_y_m", "cm_z_m")
 INERTIA_PARAMETERS: Final = tuple(
     f"inertia_{element}_kg_m2" for element in ("xx", "yy", "zz", "xy", "xz", "yz")
 )

@@ -22,13 +22,13 @@ import numpy as np
 from cassini_bayes.balance.band_products import BandProducts
 from cassini_bayes.balance.bands import Band, OpenSquares, TurnBand, make_bands, turn_bands
 from cassini_bayes.balance.kernel import (
-    ChannelNoise,
     Entries,
     FastBands,
     FlatRows,
     SlowBands,
     Turns,
     TurnSums,
+    TurnVariances,
 )
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares
@@ -36,6 +36,7 @@ from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, quarter_of
 from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.balance.statistics.reduction import couple_of
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft
@@ -117,6 +118,11 @@ class Pattern:
     def hidden(self) -> int:
         """Unknowns that counters hide, S + L: cut tails and unlike pulses, long roundings."""
         return len(self.members)
+
+    @property
+    def owner(self) -> Places:
+        """(B,) the unknown that every entry is a column of."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     @property
     def turned(self) -> Places:
@@ -211,7 +217,7 @@ class ChannelVariances(NamedTuple):
     rate: Array  # (n,) of a measured body rate, rad²/s²
     attitude: Array  # (n,), rad²
     wheels: Array  # (n, S + F, W) of measured wheel rates, by band, rad²/s²
-    turns: ChannelNoise
+    turns: TurnVariances
 
 
 class Answered(NamedTuple):
@@ -486,7 +492,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     per_thruster = 3 * len(PULSE_COLUMNS)
     for k, name in enumerate(layout.thrusters):
         first = layout.fired.start + per_thruster * k
-        couple = next(g for g, members in enumerate(layout.couples) if k in members)
+        couple = couple_of(k, layout)
         own = [layout.cut.start + p for p in cuts if divmod(p, CUT_COLUMNS) == (couple, 0)]
         after = sum(map(len, entries)) + per_thruster
         lost += [(after + i, k) for i in range(len(own))]

@@ -164,7 +164,7 @@ def _columns(
     weights (1 + 2d, B, 3).
     """
     pattern, reduced, places = event.pattern, event.reduced, event.unknowns
-    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    owner = pattern.owner
     by_owner = np.zeros((len(weights), places.measured + 1, 3, len(reduced.columns)))
     for b, column in zip(reduced.entries, reduced.row, strict=True):
         by_owner[:, owner[b], :, column] += weights[:, b]

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.kernel import ChannelNoise, summed_over_couples, turn_covariances
+from cassini_bayes.balance.kernel import TurnVariances, gain_and_covariance, summed_over_couples
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
@@ -28,14 +28,9 @@ def noise_covariance(
     event: TelemetryBalance,
     physics: Physics,
     parameters: Mapping[str, Array],
-    kept: Array | None = None,
 ) -> Array:
-    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)².
-
-    ``kept`` (n, W, W) is the share of the wheels' noise that stays where their true rates are
-    estimated.
-    """
-    of_wheels = wheel_covariance(event, physics, parameters, kept)
+    """Covariance (n, 3, 3) of the white noise of a row's balance, (N m s)²."""
+    of_wheels = wheel_covariance(event, physics, parameters)
     other = covariance_beside_wheels(event, physics, channel_variances(event, parameters))
     return np.asarray(other + of_wheels + late_covariance(event, physics))
 
@@ -46,7 +41,10 @@ def wheel_covariance(
     parameters: Mapping[str, Array],
     kept: Array | None = None,
 ) -> Array:
-    """Covariance (n, 3, 3) of what wheel rates put into a row, (N m s)²; ``kept`` as above."""
+    """Covariance (n, 3, 3) of what wheel rates put into a row, (N m s)².
+
+    ``kept`` (n, W, W) is the share of their noise that stays where their true rates are estimated.
+    """
     wheels = event.wheel_weights(physics)
     left = wheels if kept is None else wheels @ kept
     noise = wheel_variance(event, parameters)[:, None, :]
@@ -65,7 +63,7 @@ def channel_variances(event: TelemetryBalance, parameters: Mapping[str, Array]) 
     rounding = statistics.steps.rate_rad_s**2 / 12.0
     rate = (parameters["rate_noise_rad_s"] ** 2 + rounding) / averaged
     attitude = parameters["attitude_noise_rad"] ** 2
-    of_turns = ChannelNoise(
+    of_turns = TurnVariances(
         np.maximum(rate, LEAST_RATE_RAD_S**2),
         attitude,
         _white_variances(event, parameters, event.wheels, shares),
@@ -160,7 +158,7 @@ def turn_noise(
     ``torque_s3`` (T,) what of a unit random walk is in the noise of every band
     (:class:`.TurnBand`).
     """
-    gain, covariance = turn_covariances(
+    gain, covariance = gain_and_covariance(
         np.ascontiguousarray(physics.momentum_per_rate),
         np.ascontiguousarray(physics.inertia_kg_m2),
         np.ascontiguousarray(event.wheel_weights(physics)),

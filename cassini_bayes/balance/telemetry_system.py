@@ -66,7 +66,7 @@ def event_system(
     physics
         The physics at n points.
     parameters
-        Noise variances, name → (n,) array.
+        Noise, name → (n,) array: standard deviations, and of torque the root of its density.
     torque_mean, torque_sd
         (3,) prior of the event's steady torque, N m.
     """

@@ -42,8 +42,7 @@ def without_idle_columns(
         columns = np.r_[event.reduced.walk, columns]
     place = np.empty(event.statistics.layout.size, dtype=np.int64)
     place[columns] = np.arange(len(columns))
-    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
-    counts = np.bincount(owner[entries], minlength=len(pattern.start) - 1)
+    counts = np.bincount(pattern.owner[entries], minlength=len(pattern.start) - 1)
     full, turned = event.reduced, np.flatnonzero(used[pattern.turned])
     reduced = Reduced(
         entries=entries,

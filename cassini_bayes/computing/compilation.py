@@ -1,7 +1,8 @@
 """Compiled functions: numba with its cache on disk, or without where none can be kept.
 
 Numba's cache notices a change in the file of a function, but not in another file that the function
-calls into: compiled functions that call each other are in one file.
+calls into: compiled functions that call each other are in one file. Nor can it read what it kept of
+a function once a class of its arguments has lost its name: then the function gets a new one, too.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any, Final, get_type_hints
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.log import Log, silent
@@ -107,8 +107,8 @@ class BalanceDetail:
     ``extended_rows`` is empty without a cause.
     """
 
-    rows: tuple[EventRows, ...]
-    extended_rows: tuple[EventRows, ...]
+    rows: tuple[InnovationRows, ...]
+    extended_rows: tuple[InnovationRows, ...]
     before: InnovationTests
     after: InnovationTests
     overlays: tuple[Overlay, ...]

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.stats import norm
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.balance.part_columns import spread
 from cassini_bayes.computing.arrays import Array
 
@@ -92,7 +92,7 @@ class InnovationTests:
 
 
 def innovation_tests(
-    linear: Linear, rows: Sequence[EventRows], rng: np.random.Generator
+    linear: Linear, rows: Sequence[InnovationRows], rng: np.random.Generator
 ) -> InnovationTests:
     """Test innovations against all drivers, for whiteness, and at the end.
 
@@ -142,7 +142,7 @@ def filled(counter: Array) -> Array:
     return np.asarray(np.interp(np.arange(len(counter)), known, counter[known]))
 
 
-def drivers(event: EventRows) -> dict[str, Array]:
+def drivers(event: InnovationRows) -> dict[str, Array]:
     """What innovations may go with: columns over the rows, without those that do not change.
 
     Wheel speeds and body rates are running means of 61 rows; firing rates and accelerations are
@@ -173,7 +173,7 @@ def drivers(event: EventRows) -> dict[str, Array]:
     }
 
 
-def _since_firing(event: EventRows) -> Array:
+def _since_firing(event: InnovationRows) -> Array:
     """Time since any thruster's on-time last rose, s; since the first row before that."""
     total = np.sum([filled(event.on_time_s[:, k]) for k in range(event.on_time_s.shape[1])], axis=0)
     fired = np.concatenate([[True], np.diff(total) > 0.0])
@@ -181,11 +181,11 @@ def _since_firing(event: EventRows) -> Array:
     return np.asarray(event.time_s - event.time_s[last])
 
 
-def _slope(event: EventRows, values: Array) -> Array:
+def _slope(event: InnovationRows, values: Array) -> Array:
     return np.asarray(np.gradient(running_mean(values, WINDOW_ROWS), event.time_s))
 
 
-def _ends(event: EventRows) -> dict[str, Array]:
+def _ends(event: InnovationRows) -> dict[str, Array]:
     """Mean of the last rows less mean of the first, in N m s."""
     count = min(CLOSURE_ROWS, len(event.time_s) // 4)
     if count < 2:
@@ -197,7 +197,7 @@ def _ends(event: EventRows) -> dict[str, Array]:
 
 def _tests(
     linear: Linear,
-    rows: Sequence[EventRows],
+    rows: Sequence[InnovationRows],
     factor: tuple[Array, bool],
     columns: Sequence[Mapping[str, Array]],
 ) -> tuple[list[Tested], Array]:
@@ -247,7 +247,7 @@ def family_band(covariance: Array, rng: np.random.Generator) -> float:
     return float(np.quantile(np.abs(draws).max(axis=1), PROBABILITY))
 
 
-def _whiteness(linear: Linear, rows: Sequence[EventRows], lower: Array) -> list[Whiteness]:
+def _whiteness(linear: Linear, rows: Sequence[InnovationRows], lower: Array) -> list[Whiteness]:
     """Autocorrelations with the smooth part that fitting took out put back on average."""
     whiteness = []
     root = solve_triangular(np.tril(lower), np.eye(len(lower)), lower=True)

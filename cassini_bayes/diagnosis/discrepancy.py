@@ -25,7 +25,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear, change_of_evidence
 from cassini_bayes.balance.part_columns import spread
 from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
@@ -86,7 +86,7 @@ def baseline_at(
 
 def discrepancy_curves(
     linear: Linear,
-    rows: Sequence[EventRows],
+    rows: Sequence[InnovationRows],
     point: Array,
     torque_noise: Distribution,
     rng: np.random.Generator,
@@ -134,26 +134,26 @@ class _Kind:
     projection: Array
 
     @classmethod
-    def of(cls, matrix: Array, projection: Array, rows: Sequence[EventRows], power: int) -> _Kind:
+    def of(
+        cls, matrix: Array, projection: Array, rows: Sequence[InnovationRows], power: int
+    ) -> _Kind:
         root = np.concatenate([np.repeat(_mode_sd(event, power), 3) for event in rows])
         kappa, vectors = np.linalg.eigh(root[:, None] * matrix * root)
         return cls(root, np.maximum(kappa, 0.0), vectors, vectors.T @ (root * projection))
 
     def log_evidence(self, amplitude: Array) -> Array:
         """log p(y | a) (n,) up to a constant."""
-        square = amplitude[:, None] ** 2
-        grown = 1.0 + square * self.kappa
-        return np.asarray(0.5 * (square * self.projection**2 / grown - np.log(grown)).sum(-1))
+        return change_of_evidence(self.kappa, self.projection, amplitude)
 
 
-def _waves(event: EventRows, time_s: Array) -> Array:
+def _waves(event: InnovationRows, time_s: Array) -> Array:
     """cos(m π t/T) − 1 (n, M): nothing at the start, where the initial momentum is free."""
     span = event.time_s[-1] - event.time_s[0]
     order = np.arange(1.0, MODES + 1.0)
     return np.asarray(np.cos(np.pi * np.outer((time_s - event.time_s[0]) / span, order)) - 1.0)
 
 
-def _gained(event: EventRows) -> Array:
+def _gained(event: InnovationRows) -> Array:
     """P(t) ∫ Pᵀ e_c d(wave) (n, 3, M, 3): what a torque about body axis c leaves in the balance."""
     turn = direction_cosines(event.attitude)
     steps = np.diff(_waves(event, event.time_s), axis=0)
@@ -163,7 +163,7 @@ def _gained(event: EventRows) -> Array:
     return np.asarray(np.einsum("nai,nimc->namc", turn, inertial, optimize=True))
 
 
-def _mode_sd(event: EventRows, power: int) -> Array:
+def _mode_sd(event: InnovationRows, power: int) -> Array:
     """Standard deviations (M,) of the cosines' weights at a = 1, s^½: that of the end is T^½.
 
     g(T) − g(0) is minus twice the sum of the odd weights.
@@ -174,11 +174,11 @@ def _mode_sd(event: EventRows, power: int) -> Array:
     return np.asarray(np.sqrt(event.time_s[-1] - event.time_s[0]) / end * shape)
 
 
-def _information(linear: Linear, rows: Sequence[EventRows], point: Array) -> tuple[Array, Array]:
+def _information(
+    linear: Linear, rows: Sequence[InnovationRows], point: Array
+) -> tuple[Array, Array]:
     """Gᵀ V⁻¹ G (q, q) and Gᵀ V⁻¹ y (q,), y about the prior mean; modes, then axes."""
-    mean = np.zeros(len(linear.precision))
-    mean[: len(point)] = -point
-    target = linear.target - linear.columns @ mean
+    target = linear.about_prior_mean(point)
     own_gram, mixed, own_projection = [], [], []
     for event, part, known in zip(rows, linear.parts, linear.columns.parts, strict=True):
         n = len(event.time_s)
@@ -205,7 +205,7 @@ def _amplitudes(
     return nodes, rng.choice(len(weight), size=DRAWS, p=weight / weight.sum())
 
 
-def _curve(event: EventRows, weights: Array) -> Curve:
+def _curve(event: InnovationRows, weights: Array) -> Curve:
     time = np.linspace(event.time_s[0], event.time_s[-1], TIMES)
     wave = _waves(event, time)
     draws = np.einsum("tm,dmc->dtc", wave, weights.reshape(len(weights), MODES, 3), optimize=True)

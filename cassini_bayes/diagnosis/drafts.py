@@ -23,8 +23,8 @@ from typing import Any, Final
 import numpy as np
 
 from cassini_bayes.balance.linearised import (
-    EventRows,
     Information,
+    InnovationRows,
     Linear,
     change_of_evidence,
     diagonal,
@@ -130,11 +130,11 @@ class _Candidate:
 class _Columns:
     """Columns of momentum (n, 3) of every event as they are made, and what they are for."""
 
-    rows: Sequence[EventRows]
+    rows: Sequence[InnovationRows]
     blocks: list[list[Array]] = field(default_factory=list)
     forms: dict[str, list[_Candidate]] = field(default_factory=dict)
 
-    def add(self, make: Callable[[int, EventRows], Array]) -> int:
+    def add(self, make: Callable[[int, InnovationRows], Array]) -> int:
         """Place of a new column."""
         self.blocks.append([make(place, event) for place, event in enumerate(self.rows)])
         return len(self.blocks) - 1
@@ -217,7 +217,7 @@ def drafted(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Draft, ...]:
 
 def drafts_of(
     linear: Linear,
-    rows: Sequence[EventRows],
+    rows: Sequence[InnovationRows],
     point: Array,
     thrusts: Sequence[Array],
     common_n: float,
@@ -274,7 +274,7 @@ def _without_each(linear: Linear, target: Array, white: Array) -> tuple[list[_In
     return [_Information.on(own) for own in told], what
 
 
-def _columns(rows: Sequence[EventRows], thrusts: Sequence[Array]) -> _Columns:
+def _columns(rows: Sequence[InnovationRows], thrusts: Sequence[Array]) -> _Columns:
     columns = _Columns(rows)
     longest = max(float(event.time_s[-1]) for event in rows)
     times = np.linspace(0.0, longest, TIMES + 2)[:-1]
@@ -317,7 +317,7 @@ def _windows(
         columns.offer(form, _Candidate(target, numbers, (places[i],), (places[j],)))
 
 
-def _oscillations(columns: _Columns, rows: Sequence[EventRows]) -> None:
+def _oscillations(columns: _Columns, rows: Sequence[InnovationRows]) -> None:
     """Lines of most power, a phase and an amplitude in every event."""
     result = spectra(rows)
     for c, axis in enumerate(AXES):
@@ -333,11 +333,11 @@ def _oscillations(columns: _Columns, rows: Sequence[EventRows]) -> None:
 
 
 def _about(
-    c: int, series: Callable[[EventRows], Array], only: str | None = None
-) -> Callable[[int, EventRows], Array]:
+    c: int, series: Callable[[InnovationRows], Array], only: str | None = None
+) -> Callable[[int, InnovationRows], Array]:
     """A series as momentum about a body axis, in all events or in one."""
 
-    def make(_: int, event: EventRows) -> Array:
+    def make(_: int, event: InnovationRows) -> Array:
         values = np.zeros((len(event.time_s), 3))
         if only in (None, event.event):
             values[:, c] = series(event)
@@ -346,18 +346,18 @@ def _about(
     return make
 
 
-def _from(start: float) -> Callable[[EventRows], Array]:
+def _from(start: float) -> Callable[[InnovationRows], Array]:
     return lambda event: (event.time_s >= start).astype(np.float64)
 
 
-def _since(start: float) -> Callable[[EventRows], Array]:
+def _since(start: float) -> Callable[[InnovationRows], Array]:
     return lambda event: np.maximum(event.time_s - start, 0.0)
 
 
-def _speed(number: int, power: int) -> Callable[[EventRows], Array]:
+def _speed(number: int, power: int) -> Callable[[InnovationRows], Array]:
     """Of a wheel in 1000 rev/min, to a power; zero in events that do not use it."""
 
-    def series(event: EventRows) -> Array:
+    def series(event: InnovationRows) -> Array:
         if number not in event.wheels:
             return np.zeros(len(event.time_s))
         speed = event.wheel_rad_s[:, event.wheels.index(number)]
@@ -366,14 +366,14 @@ def _speed(number: int, power: int) -> Callable[[EventRows], Array]:
     return series
 
 
-def _wave(frequency: float, wave: Callable[[Array], Array]) -> Callable[[EventRows], Array]:
+def _wave(frequency: float, wave: Callable[[Array], Array]) -> Callable[[InnovationRows], Array]:
     return lambda event: wave(2.0 * np.pi * frequency * event.time_s)
 
 
-def _fired_since(start: float, thrusts: Sequence[Array]) -> Callable[[int, EventRows], Array]:
+def _fired_since(start: float, thrusts: Sequence[Array]) -> Callable[[int, InnovationRows], Array]:
     """Of momentum per newton (n, 3), what was fired since a time, turned with the body."""
 
-    def make(place: int, event: EventRows) -> Array:
+    def make(place: int, event: InnovationRows) -> Array:
         turn = direction_cosines(event.attitude)
         inertial = np.einsum("nai,na->ni", turn, thrusts[place])
         first = int(np.searchsorted(event.time_s, start))

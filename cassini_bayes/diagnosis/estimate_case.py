@@ -179,21 +179,20 @@ class EstimateCase(Case[EstimateHypothesis]):
         rng: np.random.Generator,
         log: Log = silent,
         fits: Sequence[Fits] | None = None,
-        draws: int = LEFT_OUT_DRAWS,
     ) -> HeldOut | None:
         """Every estimate left out in turn: log Z(all) − log Z(others), and what it misses by."""
         del fits
         hypothesis = weighed.hypothesis
         if len(self.estimate_n) < LEAST_PIECES:
             return None
-        whole = self._one(hypothesis, rng, draws).log_evidence
+        whole = self._one(hypothesis, rng, LEFT_OUT_DRAWS).log_evidence
         scores, residuals = [], []
         for place, name in enumerate(self.event_ids):
             log(f"{weighed.name}: {name} held out")
             kept = np.arange(len(self.estimate_n)) != place
-            _, z, log_ratio = self._draws(hypothesis, kept, rng, draws)
+            _, z, log_ratio = self._draws(hypothesis, kept, rng, LEFT_OUT_DRAWS)
             total = float(logsumexp(log_ratio))
-            scores.append(whole - total + float(np.log(draws)))
+            scores.append(whole - total + float(np.log(LEFT_OUT_DRAWS)))
             predicted = hypothesis.predict(z).estimate_n[:, place]
             residuals.append(self.estimate_n[place] - np.exp(log_ratio - total) @ predicted)
         residual = np.array(residuals)

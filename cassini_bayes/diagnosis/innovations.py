@@ -15,7 +15,13 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Linear, fitted_away, whitened, with_unknowns
+from cassini_bayes.balance.linearised import (
+    InnovationRows,
+    Linear,
+    fitted_away,
+    whitened,
+    with_unknowns,
+)
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.columns import Layout, Rows
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
@@ -252,7 +258,7 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
         at = event.usable_places
         fires = samples.on_time_s.shape[1] > 0
         rows.append(
-            EventRows(
+            InnovationRows(
                 event.id,
                 usable.time_s,
                 white,

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.physics import CENTRE_PARAMETERS, Physics, physics_of
+from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.totals_terms import hold_rate_covariance
 from cassini_bayes.computing.arrays import Array, Flags
 from cassini_bayes.computing.cached import cached_property
@@ -46,15 +46,14 @@ from cassini_bayes.prediction.wheel_profile import (
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import inertia_tensor
-from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS, CONTROL_CYCLE_S
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON, THRUST_LEVELS
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-COMMON: Final = "thrust_common_n"
 TAIL_STEP: Final = 0.5
 """Of the wheels' loop time, for pieces of the profile after a ramp: on-times agree with those of 1
 s pieces to 10 ms (tests/diagnosis/test_on_time_case.py)."""
-THRUSTS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
 CHANCE: Final = ("minor_quantum_s", "event_spread", "shared_shape")
 LEAST_FACTOR: Final = 1e-2
 """Effective per commanded second: a thruster that pushes less is none, and a search may step
@@ -152,13 +151,15 @@ def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Belief
             )
     centre = prior_parameters(priors)
     layout = pair_layout(spacecraft, priors.branch)
-    manager = ground_manager(GroundInputs(spacecraft, priors.branch, centre, centre[COMMON], 1.0))
+    manager = ground_manager(
+        GroundInputs(spacecraft, priors.branch, centre, centre[THRUST_COMMON], 1.0)
+    )
     pieces = [_pieces(event, manager, priors) for event in events]
     most = max(len(share) for _, share in pieces)
     first = [unit[0] for unit in layout.units]
     wheels = [n for w in spacecraft.wheels if w.number in priors.wheels for n in w.parameters]
     positions = spacecraft.geometry[priors.branch].parameters
-    names = tuple(dict.fromkeys([*CENTRE_PARAMETERS, *positions, *wheels, COMMON]))
+    names = tuple(dict.fromkeys([*CENTRE_OF_MASS, *positions, *wheels, THRUST_COMMON]))
     space = priors.space(names)
     return OnTimes(
         priors=priors,
@@ -168,11 +169,11 @@ def read_on_times(events: Sequence[TotalsEvent], priors: Priors, beliefs: Belief
         steps_rad_s=np.stack([np.pad(s, ((0, most - len(s)), (0, 0))) for s, _ in pieces]),
         share=np.stack([np.pad(share, (0, most - len(share))) for _, share in pieces]),
         duration_s=np.array([_duration(event, manager) for event in events]),
-        thrust_n=np.array([event.thrust_predicted_n or centre[COMMON] for event in events]),
-        thrust_centre_n=centre[COMMON],
+        thrust_n=np.array([event.thrust_predicted_n or centre[THRUST_COMMON] for event in events]),
+        thrust_centre_n=centre[THRUST_COMMON],
         space=space,
         fixed={name: value for name, value in centre.items() if name not in space.names},
-        thrust_sd_n=dict(zip(THRUSTS, priors.normal(THRUSTS)[1], strict=True)),
+        thrust_sd_n=dict(zip(THRUST_LEVELS, priors.normal(THRUST_LEVELS)[1], strict=True)),
         pulses_per_second=beliefs.moments("pulses_per_second")[0],
         beliefs=beliefs,
         order=in_order_of_time(events),
@@ -345,7 +346,7 @@ def _fly(
     spacecraft, branch = data.priors.spacecraft, data.priors.branch
     modifiers = tuple(effect.modifier(spacecraft, branch) for effect in effects)
     physics = physics_of(spacecraft, branch, parameters, modifiers)
-    level = parameters[COMMON] - data.thrust_centre_n
+    level = parameters[THRUST_COMMON] - data.thrust_centre_n
     departures = level[:, None] + data.thrust_sd_n["thrust_individual_n"] * z[:, space.dimension :]
     factor = np.broadcast_to(physics.thrust_factor, departures.shape)[:, None, :]
     thrust = factor * (data.thrust_n[:, None] + departures[:, None, :]) + nudge.force_n

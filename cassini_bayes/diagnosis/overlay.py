@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.events import Events
@@ -132,7 +132,7 @@ def _left(linear: Linear, unknowns: Array, slopes: int, factors: Sequence[Array]
 def _overlay(
     before: Weighed[Hypothesis],
     place: int,
-    rows: EventRows,
+    rows: InnovationRows,
     extended_n_m_s: Array | None,
     cause_n_m_s: Array | None,
 ) -> Overlay:

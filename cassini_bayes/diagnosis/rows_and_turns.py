@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.linearised import (
-    EventRows,
     Information,
+    InnovationRows,
     Linear,
     fitted_away,
     information,
@@ -56,8 +56,8 @@ class BesideMode:
 
     linear: Linear
     target: Array
-    rows: tuple[EventRows, ...]
-    turned: tuple[EventRows, ...]
+    rows: tuple[InnovationRows, ...]
+    turned: tuple[InnovationRows, ...]
 
     @classmethod
     def of(cls, hypothesis: Hypothesis, z: Array, left: Remainder) -> BesideMode:
@@ -91,8 +91,8 @@ def side_by_side(apart: Sequence[Array], common: Sequence[Array] = ()) -> list[A
 
 
 def with_turns(
-    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[EventRows]
-) -> tuple[Linear, tuple[EventRows, ...]]:
+    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[InnovationRows]
+) -> tuple[Linear, tuple[InnovationRows, ...]]:
     """Linear model and innovations of all events' rows, then of all their turns, at z (d,).
 
     Parameters as of :func:`joined`.
@@ -107,8 +107,8 @@ def with_turns(
 
 
 def joined(
-    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[EventRows]
-) -> tuple[Linear, tuple[EventRows, ...]]:
+    hypothesis: Hypothesis, z: Array, linear: Linear, rows: Sequence[InnovationRows]
+) -> tuple[Linear, tuple[InnovationRows, ...]]:
     """Linear model of all events' rows, then of all their turns, at z (d,); events for the latter.
 
     ``linear`` and ``rows`` are those of the rows alone
@@ -145,7 +145,7 @@ def joined(
     return both, tuple(turned)
 
 
-def _innovations(event: EventRows, white: Array) -> EventRows:
+def _innovations(event: InnovationRows, white: Array) -> InnovationRows:
     return replace(event, white=white, residual_n_m_s=white @ event.noise_factor.T)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.computing.arrays import Array
 
 AXES: Final = "xyz"
@@ -82,7 +82,7 @@ def line_powers(time_s: Array, white: Array) -> tuple[Array, Array]:
     return np.asarray(np.fft.rfftfreq(len(grid), step)[1:], dtype=np.float64), power
 
 
-def spectra(rows: Sequence[EventRows]) -> tuple[Spectrum, ...]:
+def spectra(rows: Sequence[InnovationRows]) -> tuple[Spectrum, ...]:
     """Spectra of every event of more than sixteen rows, about every body axis."""
     result = []
     for event in rows:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.correlations import (
     AXES,
@@ -41,7 +41,7 @@ class Symptom:
     z: float
 
 
-def find_symptoms(rows: Sequence[EventRows], tests: InnovationTests) -> tuple[Symptom, ...]:
+def find_symptoms(rows: Sequence[InnovationRows], tests: InnovationTests) -> tuple[Symptom, ...]:
     """All symptoms of all events, the strongest first.
 
     Parameters
@@ -63,7 +63,7 @@ def find_symptoms(rows: Sequence[EventRows], tests: InnovationTests) -> tuple[Sy
     return tuple(sorted(symptoms, key=lambda symptom: -abs(symptom.z))[:MOST])
 
 
-def _drift(event: EventRows, axis: int) -> list[Symptom]:
+def _drift(event: InnovationRows, axis: int) -> list[Symptom]:
     """The largest change of the smoothed innovations between two times."""
     smooth = running_mean(event.residual_n_m_s[:, axis], WINDOW_ROWS)
     low, high = int(smooth.argmin()), int(smooth.argmax())
@@ -82,7 +82,7 @@ def _drift(event: EventRows, axis: int) -> list[Symptom]:
     return [Symptom(event.event, AXES[axis], f"t={start:.0f}..{stop:.0f} s", what, float(z))]
 
 
-def _in_step(event: EventRows, smooth: Array, first: int, last: int) -> str:
+def _in_step(event: InnovationRows, smooth: Array, first: int, last: int) -> str:
     """The thruster whose on-time rises most like the drift, as the end of a sentence."""
     if last - first <= WINDOW_ROWS:
         return ""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
+from cassini_bayes.balance.inertia import ELEMENTS
 from cassini_bayes.effects.changes import AXES
 from cassini_bayes.effects.effect import Effect, EffectParameter, Kind, Onset, onsets
 from cassini_bayes.effects.registry import Kinds, Odds, Unknown, standard
@@ -15,8 +15,6 @@ from cassini_bayes.files.checks import check_known, nearest
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, known_parameters
 from cassini_bayes.spacecraft import WHEEL_KEYS
-
-ELEMENTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.balance.physics import Modifier, Parameters, Physics
 from cassini_bayes.balance.statistics import ExtraColumn, Samples
 from cassini_bayes.computing.arrays import Array
@@ -99,10 +99,10 @@ class Remainder:
     """
 
     samples: tuple[Samples, ...]
-    rows: tuple[EventRows, ...]
+    rows: tuple[InnovationRows, ...]
     linear: Linear
     parameters: Mapping[str, float]
-    with_turns: Callable[[], tuple[Linear, tuple[EventRows, ...]]]
+    with_turns: Callable[[], tuple[Linear, tuple[InnovationRows, ...]]]
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.balance.physics import Parameters, Physics
 from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.computing.arrays import Array
@@ -157,7 +157,7 @@ def search(remainder: Remainder, priors: Mapping[str, Distribution]) -> Oscillat
     return replace(line, balanced=balanced, measured=measured)
 
 
-def balanced_rates(samples: Samples, rows: EventRows, inertia_kg_m2: Array) -> BalancedRates:
+def balanced_rates(samples: Samples, rows: InnovationRows, inertia_kg_m2: Array) -> BalancedRates:
     """Rates of an event's samples, those of its rows less what the balance leaves over J (3,)."""
     rate = samples.rate_rad_s.copy()
     at = np.searchsorted(samples.time_s, rows.time_s)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import log_ndtr
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.appendage import KnownMotion, oscillation_series, products_of_turns
@@ -73,7 +73,7 @@ class ManyLines(NamedTuple):
 
 
 def many_lines(
-    rows: Sequence[EventRows],
+    rows: Sequence[InnovationRows],
     motions: Sequence[KnownMotion],
     line: tuple[Array, float],
     starts: Starts,
@@ -114,7 +114,7 @@ class LineProducts:
     and sines, and the driven rate about each axis.
     """
 
-    rows: Sequence[EventRows]
+    rows: Sequence[InnovationRows]
     motions: Sequence[KnownMotion]
     linear: Linear
     starts: Starts
@@ -170,7 +170,7 @@ class LineProducts:
         return whole - flat.T @ cho_solve(self._factor, flat), projection.ravel()
 
 
-def _shown(event: EventRows, motion: KnownMotion, series: Array, frequency_hz: float) -> Array:
+def _shown(event: InnovationRows, motion: KnownMotion, series: Array, frequency_hz: float) -> Array:
     """Series (n, c) as an event shows them: of turns integrated, along the modes of pieces."""
     if event.turns is None:
         return series
@@ -204,7 +204,7 @@ def _squares(views: Sequence[_View], shown: Array) -> Array:
     return np.asarray(np.einsum("ai,bi,iqr->abqr", units, units, of_axes))
 
 
-def _views(rows: Sequence[EventRows], linear: Linear, direction: Direction) -> list[_View]:
+def _views(rows: Sequence[InnovationRows], linear: Linear, direction: Direction) -> list[_View]:
     """Every event's view of a direction."""
     views = []
     for event, part in zip(rows, linear.columns.parts, strict=True):

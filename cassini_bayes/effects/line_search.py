@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.appendage import KnownMotion
@@ -133,7 +133,7 @@ class _Lines:
 
 
 def find_oscillation(
-    rows: Sequence[EventRows],
+    rows: Sequence[InnovationRows],
     motions: Sequence[KnownMotion],
     linear: Linear,
     inertia_kg_m2: Array,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.computing.arrays import Array, Places
 
 
@@ -35,7 +35,7 @@ class Starts:
         return np.array([2 * place, 2 * place + 1, free, free + 1, free + 2])
 
 
-def starts_of(rows: Sequence[EventRows]) -> Starts:
+def starts_of(rows: Sequence[InnovationRows]) -> Starts:
     """A free oscillation of its own in every event: in its rows, and in its turns.
 
     Turns are in the order of the events, as rows are.

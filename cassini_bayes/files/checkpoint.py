@@ -65,10 +65,6 @@ class CheckpointStore:
             )
         return arrays
 
-    def exists(self) -> bool:
-        """Whether any checkpoint has been written."""
-        return any(self.folder.glob("*.npz"))
-
 
 @dataclass(frozen=True)
 class RecordStore:

@@ -11,8 +11,9 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 
-FIRING_PARAMETERS: Final = ("thrust_common_n", "tau_rise_s", "tau_fall_s")
+FIRING_PARAMETERS: Final = (THRUST_COMMON, "tau_rise_s", "tau_fall_s")
 
 
 def check_rows(

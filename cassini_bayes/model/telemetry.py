@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,6 @@ from cassini_bayes.balance.measured_delta_v import (
     delta_v_information,
 )
 from cassini_bayes.balance.physics import (
-    CENTRE_PARAMETERS,
     INERTIA_PARAMETERS,
     PULSE_PARAMETERS,
     Modifier,
@@ -71,6 +70,7 @@ from cassini_bayes.model.terms import (
 from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
 from cassini_bayes.spacecraft.parameters import (
     CLOSE_SHARE,
     LATE_FACTOR,
@@ -82,7 +82,6 @@ from cassini_bayes.spacecraft.parameters import (
 INITIAL: Final = "initial_momentum_n_m_s"
 TAILS: Final = "cut_tails"
 TORQUE_NOISE: Final = "torque_noise_n_m_s05"
-_MOST_POINTS: Final = 1_000  # worked up at a time: normal equations take 10 kB each
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,9 @@ class TelemetryTerm:
     balance: TelemetryBalance
     parameters: tuple[str, ...]
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
-    density_name: str = "event_data"
-    most_points: int = _MOST_POINTS
-    integrated: tuple[str, ...] = ()
+    density_name: ClassVar[str] = "event_data"
+    most_points: ClassVar[int] = 1_000  # worked up at a time: normal equations take 10 kB each
+    integrated: ClassVar[tuple[str, ...]] = ()
 
     @property
     def id(self) -> str:
@@ -451,7 +450,7 @@ def telemetry_parameters(
     names = [*INERTIA_PARAMETERS, *NOISE_LEVELS]
     names += shared.spacecraft.wheel_parameters(wheels)
     if fires:
-        names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_PARAMETERS]
+        names += [*PULSE_PARAMETERS, CLOSE_SHARE, *CENTRE_OF_MASS]
         names += [*shared.spacecraft.geometry[shared.branch].parameters]
         names += shared.thrust_prior.walked
     if has_late_pulses:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Final
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from cassini_bayes.balance.physics import Parameters
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.priors.chaining import ChainedLevels
 from cassini_bayes.priors.reader import Priors
-
-THRUST_COMMON: Final = "thrust_common_n"
-THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON, THRUST_LEVELS
 
 
 @dataclass(frozen=True)

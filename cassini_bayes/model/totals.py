@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from cassini_bayes.balance.computed_delta_v import (
     event_channel_log_likelihood,
 )
 from cassini_bayes.balance.physics import (
-    CENTRE_PARAMETERS,
     DELTA_V_NOISE,
     INERTIA_PARAMETERS,
     PULSE_PARAMETERS,
@@ -51,15 +50,16 @@ from cassini_bayes.model.terms import (
     Variable,
     slopes_of,
 )
-from cassini_bayes.model.thrusts import THRUST_COMMON, ThrustInformation, normal_log_density
+from cassini_bayes.model.thrusts import ThrustInformation, normal_log_density
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs, thruster_directions
+from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
+from cassini_bayes.spacecraft.parameters import SOFTWARE, THRUST_COMMON
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES, PulseShape
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 DeltaVUse = Literal["as-declared", "ignore", "as-measured"]
 
-SOFTWARE: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
 MASS: Final = "mass_factor"
 KIND: Final = "totals"
 
@@ -75,8 +75,8 @@ class TotalsTerm:
     computed: ComputedDeltaV | None  # ΔV computed on board, where events have it
     modifiers: tuple[Modifier, ...] = ()  # effects beyond the standard physics
     acting: tuple[tuple[bool, ...], ...] = ()  # of every modifier: in which rows
-    density_name: str = "totals"
-    most_points: int = ALL_POINTS
+    density_name: ClassVar[str] = "totals"
+    most_points: ClassVar[int] = ALL_POINTS
 
     @property
     def stack(self) -> TotalsStack:
@@ -346,7 +346,7 @@ def totals_parameters(priors: Priors, shared: Shared, *, has_delta_v: bool) -> t
     spacecraft = shared.spacecraft
     return (
         *PULSE_PARAMETERS,
-        *CENTRE_PARAMETERS,
+        *CENTRE_OF_MASS,
         *spacecraft.geometry[shared.branch].parameters,
         *spacecraft.wheel_parameters(priors.wheels),
         *INERTIA_PARAMETERS,

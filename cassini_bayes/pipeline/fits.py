@@ -25,7 +25,7 @@ from cassini_bayes.files.validated import validated
 from cassini_bayes.model.draws import event_log_marginal
 from cassini_bayes.model.gather import EventLike, PathLike
 from cassini_bayes.model.posterior import Model
-from cassini_bayes.model.totals import SOFTWARE, DeltaVUse
+from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.pipeline.inputs import paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.pipeline.provenance import read_provenance
@@ -47,6 +47,7 @@ from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi, summarise
 from cassini_bayes.sampling.ensembles import SamplerSettings
+from cassini_bayes.spacecraft.parameters import SOFTWARE
 from cassini_bayes.sweep.models import chosen_names, units_of, values_of, walked_values
 
 if TYPE_CHECKING:

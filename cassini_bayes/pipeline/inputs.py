@@ -61,6 +61,11 @@ def read_inputs(
         Told what was read of the telemetry.
     kinds
         The effects that a run file may name; those of the package by default.
+
+    Raises
+    ------
+    InputError
+        Bad data or priors, an unknown mistake or effect, an event that is there twice.
     """
     priors_path = base / run.priors
     priors = read_priors(priors_path)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.settings import EventsTable
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
@@ -49,22 +49,12 @@ class OutputTable(Table):
     report: bool = True
 
 
-class RunFile(Table):
+class RunFile(EventsTable):
     """A run file with every default filled in; paths are relative to the run file."""
 
-    events: list[str] = Field(min_length=1, examples=[["file.csv"]])
-    priors: str
-    source: str = "flight"
-    accept: list[str] = Field(default_factory=list)  # mistakes that are none
-    leave_out: bool = False  # bad cells
     model: ModelTable = ModelTable()
     sampler: SamplerTable = SamplerTable()
     output: OutputTable = OutputTable()
-
-    def accepting(self, mistakes: Sequence[str], *, leave_out: bool) -> RunFile:
-        """The same with what a command accepts besides."""
-        accept = [*self.accept, *mistakes]
-        return self.model_copy(update={"accept": accept, "leave_out": self.leave_out or leave_out})
 
 
 def read_run_file(path: Path) -> RunFile:
@@ -87,7 +77,13 @@ def is_resolved(path: Path) -> bool:
 
 
 def check_run(table: dict[str, Any], where: str) -> RunFile:
-    """Check the table of a run file."""
+    """Check the table of a run file.
+
+    Raises
+    ------
+    InputError
+        Unknown key (with the nearest one), wrong type or range.
+    """
     run = validated(RunFile, table, where)
     if run.model.pulse_shape not in PULSE_SHAPES:
         raise InputError(

@@ -19,13 +19,13 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
-from cassini_bayes.prediction.physics import Physics
+from cassini_bayes.prediction.physics import PhysicsDraws
 from cassini_bayes.prediction.regressions import Regression, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.units import YEAR_S
 
 GRAVITY_M_S2: Final = 9.80665
-SECONDS_PER_YEAR: Final = 365.25 * 86400.0
 PRINTED_THRUST_SD_N: Final = 0.005
 PRINTED_ACCELERATION_SD_M_S2: Final = 1.5e-6
 PRINTED_MASS_SD_KG: Final = 5.0
@@ -46,7 +46,7 @@ class Trend:
 
     def at(self, epoch: datetime) -> Array:
         """Values (n,) at an epoch, without scatter."""
-        years = (epoch - self.reference).total_seconds() / SECONDS_PER_YEAR
+        years = (epoch - self.reference).total_seconds() / YEAR_S
         return np.asarray(self.centre + self.slope_per_year * years)
 
 
@@ -88,7 +88,7 @@ def group_impulse(layout: PairLayout, thrust_n: Array, effective_s: Array) -> tu
 def hydrazine_regression(
     model: Model,
     events: tuple[TotalsEvent, ...],
-    physics: Physics,
+    physics: PhysicsDraws,
     layout: PairLayout,
     beliefs: Beliefs,
     rng: np.random.Generator,
@@ -156,7 +156,7 @@ def trend_of(
     if len(given) < len(values) or not given:
         return None
     reference = min(epochs) + sum((e - min(epochs) for e in epochs), timedelta()) / len(epochs)
-    years = np.array([(e - reference).total_seconds() / SECONDS_PER_YEAR for e in epochs])
+    years = np.array([(e - reference).total_seconds() / YEAR_S for e in epochs])
     target = np.array(given)
     level = float(target.mean())
     design = np.stack([np.ones_like(years), years], axis=-1)

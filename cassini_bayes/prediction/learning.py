@@ -43,7 +43,7 @@ from cassini_bayes.prediction.ground_knowledge import (
     pulse_regression,
     trend_of,
 )
-from cassini_bayes.prediction.physics import Physics, demand_of, features_of, solver_of
+from cassini_bayes.prediction.physics import PhysicsDraws, demand_of, features_of, solver_of
 from cassini_bayes.prediction.regressions import Regression
 from cassini_bayes.prediction.wheel_profile import WheelManager
 from cassini_bayes.sampling.warmstart import (
@@ -75,7 +75,7 @@ class Learned:
 
     model: Model
     layout: PairLayout
-    physics: Physics
+    physics: PhysicsDraws
     firing: Mapping[str, Array | float]
     pulses: Regression
     hydrazine: Regression | None
@@ -98,7 +98,7 @@ class Learned:
 def learn(
     model: Model,
     events: tuple[TotalsEvent, ...],
-    physics: Physics,
+    physics: PhysicsDraws,
     beliefs: Beliefs,
     rng: np.random.Generator,
     size: int = 2_000,
@@ -161,7 +161,7 @@ def _trends(
 def training_features(
     model: Model,
     events: tuple[TotalsEvent, ...],
-    physics: Physics,
+    physics: PhysicsDraws,
     manager: WheelManager,
     pulses_per_second: float,
 ) -> list[Features]:

@@ -31,12 +31,11 @@ KINDS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class HeldOut:
-    """One fold: the event, what the others taught, its prediction and how good the draws are."""
+    """One fold: the event, what the others taught, its prediction and its draws' Pareto k̂."""
 
     event: TotalsEvent
     learned: Learned
     prediction: Prediction
-    importance_efficiency: float
     pareto_k: float
 
 
@@ -61,10 +60,10 @@ def fold(
     others = tuple(other for row, other in enumerate(events) if row != held_out)
     rng = np.random.default_rng(np.random.SeedSequence((seed, held_out)))
     model = build_model(others, priors)
-    physics, efficiency, k = importance_physics(model, rng, PHYSICS_DRAWS)
+    physics, k = importance_physics(model, rng, PHYSICS_DRAWS)
     learned = learn(model, others, physics, beliefs, rng, size)
     prediction = predict(learned, request_of(event), rng)
-    return HeldOut(event, learned, prediction, efficiency, k)
+    return HeldOut(event, learned, prediction, k)
 
 
 def leave_one_out(

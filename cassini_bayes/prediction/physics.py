@@ -15,19 +15,19 @@ from typing import Final
 import numpy as np
 import xarray as xr
 
-from cassini_bayes.balance.physics import Modifier, effective_on_times
-from cassini_bayes.balance.physics import Physics as BalancePhysics
+from cassini_bayes.balance.physics import Modifier, Physics, effective_on_times
 from cassini_bayes.balance.totals_system import NOISE, steady_impulse
 from cassini_bayes.computing.arrays import Array, mapped
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.model.draws import draw
 from cassini_bayes.model.posterior import Model, log_posterior
-from cassini_bayes.model.totals import SOFTWARE, software_of
+from cassini_bayes.model.totals import software_of
 from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
 from cassini_bayes.prediction.wheel_profile import WheelManager, piece_times_s, segments_rpm
 from cassini_bayes.results.record import Fit
+from cassini_bayes.spacecraft.parameters import SOFTWARE
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")
@@ -35,7 +35,7 @@ RECORDED: Final = ("rate_rad_s", "rwa_rpm")
 
 
 @dataclass(frozen=True)
-class Physics:
+class PhysicsDraws:
     """Joint draws of everything a fit infers that a prediction needs; leading axis n.
 
     ``parameters`` are the walked and fixed ones by name, those of effects among them; ``thrust_n``
@@ -47,7 +47,7 @@ class Physics:
     thrust_n: Array
     level_n: Array
     software: Array
-    _balances: dict[tuple[Modifier, ...], BalancePhysics] = field(
+    _balances: dict[tuple[Modifier, ...], Physics] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -56,7 +56,7 @@ class Physics:
         """Number of draws."""
         return len(self.level_n)
 
-    def balance(self, model: Model) -> BalancePhysics:
+    def balance(self, model: Model) -> Physics:
         """The physics of the momentum balance at every draw, with the effects of the model."""
         modifiers = model.totals_rows.modifiers
         if modifiers not in self._balances:
@@ -71,18 +71,20 @@ class Physics:
         """Thrust (n, K) that thrusters deliver on average: level times factor of effects."""
         return np.asarray(self.level_n * self.balance(model).thrust_factor)
 
-    def at_mean(self) -> Physics:
+    def at_mean(self) -> PhysicsDraws:
         """Every draw replaced by the mean of all: the physics as if it were known."""
-        result: Physics = mapped(lambda draws: np.broadcast_to(draws.mean(0), draws.shape), self)
+        result: PhysicsDraws = mapped(
+            lambda draws: np.broadcast_to(draws.mean(0), draws.shape), self
+        )
         return result
 
 
 def importance_physics(
     model: Model, rng: np.random.Generator, size: int
-) -> tuple[Physics, float, float]:
+) -> tuple[PhysicsDraws, float]:
     """Draws from the posterior of a model: mode, Laplace, importance sampling, resampling.
 
-    Returns the draws, the efficiency of the importance draws and their Pareto k̂.
+    Returns the draws and the Pareto k̂ of the importance draws.
     """
     from cassini_bayes.sampling.warmstart import warm_start
 
@@ -93,11 +95,13 @@ def importance_physics(
     software = (
         software_of(integrated) if model.totals_rows.computed is not None else np.zeros((size, 2))
     )
-    physics = Physics(values, thrusts.thrust_n, thrusts.level_n, software)
-    return physics, warm.draws.efficiency, warm.draws.pareto_k
+    physics = PhysicsDraws(values, thrusts.thrust_n, thrusts.level_n, software)
+    return physics, warm.draws.pareto_k
 
 
-def physics_of_fit(model: Model, fit: Path | Fit, rng: np.random.Generator, size: int) -> Physics:
+def physics_of_fit(
+    model: Model, fit: Path | Fit, rng: np.random.Generator, size: int
+) -> PhysicsDraws:
     """``size`` random draws of a fit or of its file, checked against the events of the model.
 
     Of a fit of telemetry the model is that of its biases' totals. What only totals rows tell
@@ -166,7 +170,9 @@ def _check_events(model: Model, path: Path, observed: xr.Dataset) -> None:
         )
 
 
-def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path: Path) -> Physics:
+def _from_values(
+    model: Model, values: dict[str, Array], wheels: list[str], path: Path
+) -> PhysicsDraws:
     parameters: dict[str, Array | float] = {**model.space.fixed, **model.idle}
     if "rwa_inertia_kg_m2" in values:
         spins = dict(zip(wheels, values["rwa_inertia_kg_m2"].T, strict=True))
@@ -182,10 +188,10 @@ def _from_values(model: Model, values: dict[str, Array], wheels: list[str], path
     software = np.zeros((size, 2))
     if model.totals_rows.computed is not None:
         software = np.stack([values[name] for name in SOFTWARE], axis=-1)
-    return Physics(parameters, values["thrust_n"], values["thrust_level_n"], software)
+    return PhysicsDraws(parameters, values["thrust_n"], values["thrust_level_n"], software)
 
 
-def momentum_per_rpm(model: Model, physics: Physics, wheels: tuple[int, ...] = ()) -> Array:
+def momentum_per_rpm(model: Model, physics: PhysicsDraws, wheels: tuple[int, ...] = ()) -> Array:
     """Momentum (n, 3, W), N m s per rev/min, of wheels by number, or of all in file order."""
     weights = physics.balance(model).wheel_weights * RAD_S_PER_RPM
     each = np.broadcast_to(weights, (physics.size, *weights.shape[-2:]))
@@ -194,14 +200,14 @@ def momentum_per_rpm(model: Model, physics: Physics, wheels: tuple[int, ...] = (
 
 
 def wheel_momentum(
-    model: Model, physics: Physics, wheels: tuple[int, ...], rates_rpm: Array
+    model: Model, physics: PhysicsDraws, wheels: tuple[int, ...], rates_rpm: Array
 ) -> Array:
     """Momentum (n, S, 3) of wheel rates or changes (S, len(wheels)), N m s."""
     momentum = momentum_per_rpm(model, physics, wheels)
     return np.asarray(np.swapaxes(momentum @ rates_rpm.T, -1, -2))
 
 
-def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) -> Array:
+def stretch(model: Model, physics: PhysicsDraws, pulses_per_second: Array | float) -> Array:
     """Impulse over thrust and commanded on-time (n, K) at a mean width of 1/pulses_per_second."""
     rate = np.broadcast_to(np.asarray(pulses_per_second, dtype=np.float64), (physics.size,))
     one = np.ones((physics.size, 1, len(model.thrusters)))
@@ -209,14 +215,14 @@ def stretch(model: Model, physics: Physics, pulses_per_second: Array | float) ->
     return effective_on_times(shape, balance, one, rate[:, None, None] * one)[:, 0]
 
 
-def arms_of(model: Model, physics: Physics) -> Array:
+def arms_of(model: Model, physics: PhysicsDraws) -> Array:
     """Lever arms (n, 3, K), m."""
     arms = physics.balance(model).arms_m
     return np.broadcast_to(arms, (physics.size, *arms.shape[-2:]))
 
 
 def solver_of(
-    model: Model, physics: Physics, thrust_n: Array, pulses_per_second: Array | float
+    model: Model, physics: PhysicsDraws, thrust_n: Array, pulses_per_second: Array | float
 ) -> PairSolver:
     """Pair solver at thrusts (n, K)."""
     layout = pair_layout(model.spacecraft, model.branch)
@@ -226,7 +232,7 @@ def solver_of(
 
 def demand_of(
     model: Model,
-    physics: Physics,
+    physics: PhysicsDraws,
     manager: WheelManager,
     wheels: tuple[int, ...],
     ends_rpm: tuple[Array, Array],

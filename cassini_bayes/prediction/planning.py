@@ -30,7 +30,7 @@ from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import group_impulse, hydrazine_g
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
-    Physics,
+    PhysicsDraws,
     arms_of,
     demand_of,
     features_of,
@@ -124,7 +124,13 @@ def quantity_draws(learned: Learned, name: str) -> Array:
 
 
 def end_rates(levels: int) -> Array:
-    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs."""
+    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs.
+
+    Raises
+    ------
+    InputError
+        Not even one level.
+    """
     if levels < 1:
         raise InputError("--levels", "at least 1", str(levels), "ask for more levels")
     steps = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, levels) if levels > 1 else np.array([LOW_RPM])
@@ -298,7 +304,7 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     return on_time[0], lasts, grams
 
 
-def _grams(typical: Learned, physics: Physics, on_time: Array, rate: Array) -> float:
+def _grams(typical: Learned, physics: PhysicsDraws, on_time: Array, rate: Array) -> float:
     if typical.hydrazine is None:
         return float("nan")
     effective = on_time * stretch(typical.model, physics, rate)

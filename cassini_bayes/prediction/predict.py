@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Final, Literal, get_args
@@ -17,7 +16,7 @@ from cassini_bayes.balance.totals_terms import (
 )
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.demand import PairSolver
-from cassini_bayes.prediction.firing import Features, FiringDraws, draw_firing, mean_firing
+from cassini_bayes.prediction.firing import FiringDraws, draw_firing, mean_firing
 from cassini_bayes.prediction.ground_knowledge import (
     DURATION_SD_S,
     group_impulse,
@@ -63,7 +62,6 @@ class Prediction:
     delta_v_computed_m_s: Array | None  # (n, 3)
     delta_v_delivered_m_s: Array | None  # (n, 3)
     hydrazine_g: Array | None  # (n,)
-    demand_s: Mapping[str, float]  # mean of the features, for the reader
     powerless: float
 
     def unit_on_time_s(self) -> Array:
@@ -105,7 +103,7 @@ def predict(
     streams = rng.spawn(7)  # a source that is held leaves the draws of the others alone
     thrust = _thrust(learned, epoch, streams[0], still="thrust of the event" in hold)
     duration = _durations(learned, request, streams[1])
-    on_time, features = _firings(learned, request, thrust, duration, streams[2:4], hold)
+    on_time = _firings(learned, request, thrust, duration, streams[2:4], hold)
     pulses = _pulses(learned, on_time, streams[4])
     shape, balance = model.totals_rows.pulse_shape, physics.balance(model)
     effective = effective_on_times(shape, balance, on_time[:, None], pulses[:, None])[:, 0]
@@ -122,7 +120,6 @@ def predict(
         ),
         delta_v_delivered_m_s=_delivered(learned, epoch, thrust * effective),
         hydrazine_g=_hydrazine(learned, thrust, effective, streams[6]),
-        demand_s={name: float(np.mean(value)) for name, value in vars(features).items()},
         powerless=float((thrust <= 0.0).any(1).mean()),
     )
 
@@ -134,8 +131,8 @@ def _firings(
     duration: Array,
     streams: list[np.random.Generator],
     hold: frozenset[Source],
-) -> tuple[Array, Features]:
-    """On-times (n, K) and the features of the firing logic behind them."""
+) -> Array:
+    """On-times (n, K)."""
     model, physics, n = learned.model, learned.physics, learned.size
     solver = solver_of(model, physics, thrust, learned.pulses.coefficients[:, 0])
     rates = (request.start_rpm, request.end_rpm)
@@ -150,7 +147,7 @@ def _firings(
     if "limit cycle" in hold:
         mean = {k: np.full(n, np.mean(v)) for k, v in learned.firing.items()}
         drawn = mean_firing(mean, features)
-    return on_times_of(learned, solver, impulse, drawn), features
+    return on_times_of(learned, solver, impulse, drawn)
 
 
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:

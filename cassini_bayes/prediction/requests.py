@@ -63,7 +63,13 @@ def request_of(event: TotalsEvent) -> BiasRequest:
 
 
 def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> BiasRequest:
-    """Read ``rwa1: -1118 -> 626, rwa2: …`` (rev/min); InputError says what to change."""
+    """Read ``rwa1: -1118 -> 626, rwa2: …`` (rev/min).
+
+    Raises
+    ------
+    InputError
+        Another form, an unknown wheel, or one that is there twice.
+    """
     names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
     rates: dict[int, tuple[float, float]] = {}
     for part in text.split(","):
@@ -84,7 +90,13 @@ def parse_bias(text: str, spacecraft: Spacecraft, where: str = "--bias") -> Bias
 
 
 def parse_rates(text: str, spacecraft: Spacecraft, where: str) -> dict[int, float]:
-    """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min; each wheel once."""
+    """Read ``rwa1: -1118, rwa2: 1290`` as wheel number → rev/min.
+
+    Raises
+    ------
+    InputError
+        Another form, an unknown wheel, or one that is there twice.
+    """
     names = {wheel.name: wheel.number for wheel in spacecraft.wheels}
     result: dict[int, float] = {}
     for part in text.split(","):
@@ -108,7 +120,13 @@ def _check_once(where: str, wheel: str, is_known: bool) -> None:
 
 
 def parse_epoch(text: str, where: str = "--epoch") -> datetime:
-    """Read an ISO 8601 time; UTC where it names no zone."""
+    """Read an ISO 8601 time; UTC where it names no zone.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
     epoch = in_utc(text)
     if epoch is None:
         raise InputError(where, "an ISO 8601 time, UTC", repr(text), "write e.g. 2010-04-15")
@@ -116,7 +134,13 @@ def parse_epoch(text: str, where: str = "--epoch") -> datetime:
 
 
 def parse_quaternion(text: str, where: str = "--quaternion") -> tuple[float, float, float, float]:
-    """Read ``q1 q2 q3 q4`` (J2000 to body, scalar last) of unit norm."""
+    """Read ``q1 q2 q3 q4`` (J2000 to body, scalar last) of unit norm.
+
+    Raises
+    ------
+    InputError
+        Not four numbers, or of another norm.
+    """
     try:
         values = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
@@ -220,9 +244,14 @@ def check_request(
 ) -> None:
     """Refuse what cannot be flown or predicted with this fit.
 
-    ``prime`` are the wheels that events of the fit turned. Rates beyond ±2000 rev/min, an unknown
-    or another branch, a wheel that is not prime, and an epoch before the fit's first event are
-    refused; ends inside the low-rpm zone are allowed here (``plan`` avoids them).
+    ``prime`` are the wheels that events of the fit turned. Ends inside the low-rpm zone are allowed
+    here (``plan`` avoids them).
+
+    Raises
+    ------
+    InputError
+        Rates beyond ±2000 rev/min, none that changes, an unknown or another branch, a wheel that is
+        not prime, an epoch before the fit's first event.
     """
     where = f"bias {request.id}"
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}

@@ -25,14 +25,13 @@ from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import digest
 from cassini_bayes.priors.distributions import Distribution, standard_columns
 from cassini_bayes.priors.parameter_space import JointNormal
+from cassini_bayes.spacecraft.parameters import SOFTWARE, THRUST_COMMON
 
 LEVELS: Final = "thrust_level_n"
 MOST_SKEW: Final = 0.75
 LEAST_KURTOSIS: Final = -1.0  # two modes
 MOST_KURTOSIS: Final = 2.0  # a Student-t of seven degrees of freedom
 MOST_DISTANCE_SPREAD: Final = 1.5
-_COMMON: Final = "thrust_common_n"  # the levels hold it, unless it is walked
-_INTEGRATED_OUT: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
 FEWEST_DRAWS: Final = 1_000
 MOST_DRAWS: Final = 16_000
 
@@ -145,7 +144,8 @@ def read_earlier(
         )
     columns, names = [], []
     for name, distribution in distributions.items():
-        if name in _INTEGRATED_OUT or (name == _COMMON and distribution.is_normal):
+        # the levels hold the common one, unless it is walked
+        if name in SOFTWARE or (name == THRUST_COMMON and distribution.is_normal):
             continue
         values = _draws(posterior, name, wheels)
         if values is not None:

@@ -160,6 +160,11 @@ class Distribution:
         and moved in its logarithm. Other one-sided distributions keep their edge: their scale is
         multiplied by width · exp(shift · sd / (mean − edge)), so the mean moves by ``shift``
         standard deviations to first order and never crosses the edge.
+
+        Raises
+        ------
+        InputError
+            A width that is not above 0, a width or shift that is not finite.
         """
         if not (math.isfinite(width) and width > 0 and math.isfinite(shift)):
             raise InputError(

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.report.page import Chapter, Paragraph, Section, Slider, SliderPrior, SliderRow
 from cassini_bayes.report.plots.quantities import display_scale, plus_minus
 from cassini_bayes.report.plots.tables import (
@@ -23,7 +22,7 @@ from cassini_bayes.report.plots.tables import (
 from cassini_bayes.report.verdict import IMPULSE, MOMENTS
 from cassini_bayes.results.review import Review
 from cassini_bayes.sampling.warmstart import TRUSTED_K
-from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, THRUST_COMMON
 from cassini_bayes.sweep.variations import Group
 from cassini_bayes.sweep.weights import FEWEST_DRAWS
 from cassini_bayes.sweep.widths import WIDTHS, WidthEffect, width_effects

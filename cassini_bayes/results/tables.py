@@ -14,7 +14,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
-from cassini_bayes.model.totals import SOFTWARE
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.baselines import perturbation_bars
 from cassini_bayes.results.record import Fit
@@ -22,6 +21,7 @@ from cassini_bayes.results.sensitivity import conflicts, prior_against_posterior
 from cassini_bayes.results.telemetry_baselines import burn_methods, thrust_methods
 from cassini_bayes.results.time_series import EventSeries
 from cassini_bayes.sampling.ensembles import stored_ess
+from cassini_bayes.spacecraft.parameters import SOFTWARE
 
 HDI_PROBABILITY: Final = 0.90
 MM_PER_M: Final = 1e3

@@ -193,7 +193,7 @@ def _both_sides(
 ) -> tuple[Array, Array]:
     """Both sides of the balance (n, rows, 3): weights (n, B, 3), unknowns (n, P − 1)."""
     layout, pattern, places = balance.statistics.layout, balance.pattern, balance.unknowns
-    owner = np.repeat(np.arange(len(pattern.start) - 1), np.diff(pattern.start))
+    owner = pattern.owner
     factor = np.concatenate([unknowns, np.ones((len(unknowns), 1))], axis=1)
     is_measured = owner == places.measured
     in_wheels = (

@@ -89,7 +89,13 @@ def ramp_duration_s(plan: Plan) -> float:
 
 
 def event_duration_s(plan: Plan, cycle_s: float) -> float:
-    """Duration of an event, a whole number of control cycles."""
+    """Duration of an event, a whole number of control cycles.
+
+    Raises
+    ------
+    InputError
+        An event whose duration neither is given nor follows; less than a cycle, or too many.
+    """
     event, where = plan.event, f"event {plan.event.id}: duration_s"
     duration = event.duration_s
     if duration is None:
@@ -127,6 +133,12 @@ def simulate_motion(
         Time grid.
     start_rng, knowledge_rng, torque_rng
         Draw the start within the dead-band, the controllers' knowledge errors, and torque noise.
+
+    Raises
+    ------
+    InputError
+        As :func:`event_duration_s`; more records or steps than there may be; a motion that the
+        steps cannot follow.
     """
     cycle = steps.step_s * steps.per_cycle
     duration = event_duration_s(plan, cycle)

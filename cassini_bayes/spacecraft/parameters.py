@@ -22,6 +22,10 @@ EFFECT_BLOCK: Final = "effect"
 """Of parameters that no spacecraft has by itself: sizes of effects beyond the standard physics."""
 
 
+THRUST_COMMON: Final = "thrust_common_n"
+THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+SOFTWARE: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
+"""Of the ΔV that is computed on board."""
 CLOSE_SHARE: Final = "close_pulse_share"
 PAIR_FACTOR: Final = "close_pulse_factor"
 LATE_FACTOR: Final = "late_pulse_factor"

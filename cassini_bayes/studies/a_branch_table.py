@@ -28,9 +28,6 @@ ERROR: Final = 0.02  # of one figure: the two columns differ by 2.3 to 6.3 %
 SHIFT_SD_M: Final[Mapping[str, float]] = {"x": 0.013, "y": 0.0057}  # 10 % (paper 003)
 FACTOR: Final = 5.0  # by which a doubted centre of mass is wider, as in the diagnosis
 DEFICIT_SCALE: Final = 0.2
-SCATTERS: Final = (0.026, 0.06)
-"""Thruster to thruster, relative: the healthy B branch (paper 003 Table 2), and the six healthy
-thrusters of this very table (0.69 to 0.86 N)."""
 UNKNOWN_SCATTER: Final = 0.15
 NONE, UNKNOWN, CATALOGUED = 0.5, 0.05, 0.45
 NODES, SHIFTS = 41, 121

@@ -18,7 +18,7 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN
 from cassini_bayes.diagnosis.diagnosis import Diagnosis, diagnose
 from cassini_bayes.diagnosis.on_time_case import OnTimeCase
-from cassini_bayes.diagnosis.on_times import COMMON, OnTimeHypothesis, read_on_times
+from cassini_bayes.diagnosis.on_times import OnTimeHypothesis, read_on_times
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.verdict import CONFOUNDED_NATS, SECOND_CAUSE_NATS, Verdict, weigh
 from cassini_bayes.effects.catalogue import read_catalogue
@@ -26,6 +26,7 @@ from cassini_bayes.events.totals import read_totals
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.report.plots.on_times import on_time_figure
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 from cassini_bayes.studies.published_sections import Section, by_width, in_words
 
 SCALES: Final = ("tail_off", "pulse_shape", "thrust_scale")  # what scales all on-times alike
@@ -155,7 +156,7 @@ def _second(case: OnTimeCase, verdict: Verdict[OnTimeHypothesis]) -> str:
         alike = f" (as good: {', '.join(verdict.equal_seconds)})" if verdict.equal_seconds else ""
         return f"Second cause: `{name}`, {gains[name]:+.1f} nats{alike}."
     space = first.hypothesis.space
-    place = space.names.index(COMMON)
+    place = space.names.index(THRUST_COMMON)
     z, sd = first.mode.point[place], float(np.linalg.norm(first.mode.factor[place]))
     prior = space.distributions[place]
     low, mean, high = prior.quantile_of_standard(np.array([z - sd, z, z + sd]))

@@ -11,15 +11,14 @@ import numpy as np
 import xarray as xr
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.model.thrusts import THRUST_COMMON
-from cassini_bayes.model.totals import SOFTWARE
+from cassini_bayes.model.terms import TORQUE
+from cassini_bayes.priors.chaining import LEVELS
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.record import Fit
+from cassini_bayes.spacecraft.parameters import SOFTWARE, THRUST_COMMON
 from cassini_bayes.sweep.models import SweepModel, values_of, walked_values
 
-LEVELS: Final = "thrust_level_n"
 THRUST: Final = "thrust"
-_TORQUE: Final = "external_torque_n_m"
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,9 @@ def _collapsed(
             drawn[:, 1:] -= drawn[:, :1]
         result[THRUST] = ([THRUST_COMMON, *(f"{n} − common" for n in levels)], before, after)
     blocks = {"flight software": list(SOFTWARE)} if set(SOFTWARE) <= set(posterior) else {}
-    if _TORQUE in posterior:
+    if TORQUE in posterior:
         events = posterior.coords["event"].values
-        names = [f"{_TORQUE}[{event},{axis}]" for event in events for axis in "xyz"]
+        names = [f"{TORQUE}[{event},{axis}]" for event in events for axis in "xyz"]
         blocks = {"torque": names, **blocks}
     for block, names in blocks.items():
         before, after = (values_of(data, names) for data in sets)

@@ -19,9 +19,9 @@ from cassini_bayes.files.as_arrays import value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.pieces import finished, run_pieces
-from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.quantiles import standard_normal_log_density
 from cassini_bayes.results.record import Fit
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 from cassini_bayes.sweep.cells import Baseline, Estimate, cell_arrays
 from cassini_bayes.sweep.models import (
     ModelFactory,

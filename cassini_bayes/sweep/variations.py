@@ -9,9 +9,9 @@ from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known
-from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 from cassini_bayes.sweep.models import SweepModel
 from cassini_bayes.sweep.specification import GridTable
 

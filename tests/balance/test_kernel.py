@@ -10,7 +10,6 @@ import pytest
 
 from cassini_bayes.balance import kernel
 from cassini_bayes.balance.kernel import (
-    ChannelNoise,
     Entries,
     FastBands,
     FlatRows,
@@ -19,8 +18,9 @@ from cassini_bayes.balance.kernel import (
     SlowBands,
     Turns,
     TurnSums,
+    TurnVariances,
+    gain_and_covariance,
     log_of_flat_rows,
-    turn_covariances,
 )
 from cassini_bayes.balance.rounded_wheels import HARMONICS
 from cassini_bayes.computing.arrays import Array
@@ -222,9 +222,9 @@ def test_turns_have_the_gain_and_the_covariance_of_the_formula(one: bool) -> Non
     wheel, repeated = rng.uniform(1.0, 2.0, (m, 2)), rng.uniform(0.0, 0.1, (m, HARMONICS))
     sums = TurnSums(rng.uniform(1.0, 9.0, bands), rng.uniform(0.0, 1.0, (bands, HARMONICS, 2)))
     walked = rng.uniform(0.0, 2.0, bands)
-    noise = ChannelNoise(0.01 * level, 0.02 * level, wheel, repeated, 0.03 * level)
+    noise = TurnVariances(0.01 * level, 0.02 * level, wheel, repeated, 0.03 * level)
     by_rate = 1.1 * inertia
-    gain, covariance = turn_covariances(by_rate, inertia, own, noise, left_open, sums, walked)
+    gain, covariance = gain_and_covariance(by_rate, inertia, own, noise, left_open, sums, walked)
     for i in range(len(inertia)):
         p = 0 if one else i
         for t in range(bands):

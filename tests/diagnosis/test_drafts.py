@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from cassini_bayes.balance.linearised import EventRows, Linear, information
+from cassini_bayes.balance.linearised import InnovationRows, Linear, information
 from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.drafts import Draft, _Candidate, _Information, drafted, drafts_of
@@ -29,7 +29,7 @@ N, EVENTS = 300, 4
 Hidden = dict[str, np.ndarray]
 
 
-def flight(hidden: np.ndarray, seed: int) -> tuple[Linear, list[EventRows], list[np.ndarray]]:
+def flight(hidden: np.ndarray, seed: int) -> tuple[Linear, list[InnovationRows], list[np.ndarray]]:
     """Events of white rows whose initial momentum is free, with momentum (n, 3) hidden in each.
 
     One thruster fires in bursts and gives momentum about X.
@@ -43,7 +43,7 @@ def flight(hidden: np.ndarray, seed: int) -> tuple[Linear, list[EventRows], list
         white = rng.standard_normal((N, 3)) + hidden
         attitude = np.tile([0.0, 0.0, 0.0, 1.0], (N, 1))
         rows.append(
-            EventRows(
+            InnovationRows(
                 event=f"e{place}",
                 time_s=time,
                 white=white,

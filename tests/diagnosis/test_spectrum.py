@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.diagnosis.spectrum import spectra
 
 
-def rows_of(white: np.ndarray, event: str = "e") -> EventRows:
+def rows_of(white: np.ndarray, event: str = "e") -> InnovationRows:
     """Rows at 1 Hz with these innovations, and channels of zeros."""
     n = len(white)
     nothing = np.zeros((n, 3))
     attitude = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
-    return EventRows(
+    return InnovationRows(
         event, np.arange(n, dtype=float), white, white, nothing, nothing, np.zeros((n, 0)),
         (1, 2, 4), (), np.eye(3), attitude,
     )  # fmt: skip

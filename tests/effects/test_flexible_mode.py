@@ -9,7 +9,7 @@ import pytest
 from line_cases import INERTIA, NOISE, SCALES
 from totals_cases import ROOT
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.computing.arrays import Array
@@ -52,7 +52,7 @@ def remainder_with(share: float, line: tuple[float, float], rng: np.random.Gener
     none = np.zeros((len(time_s), 0))
     factor = np.diag(2e-5 * INERTIA)
     white = left @ np.linalg.inv(factor).T
-    rows = EventRows(
+    rows = InnovationRows(
         "one", time_s, white, left, measured, none, none, (), (), factor, np.zeros((len(left), 4))
     )
     columns = np.kron(np.ones((len(left), 1)), np.eye(3))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from line_cases import TIME, body
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.turns import Pieces, WhiteTurns
 from cassini_bayes.computing.arrays import Array
@@ -24,7 +24,7 @@ RATIO_PER_S2 = np.array([0.001, 0.02, 0.4])
 LINE = (0.031, 0.002)
 
 
-def rows_and_turns(rng: np.random.Generator) -> tuple[list[EventRows], Linear, KnownMotion]:
+def rows_and_turns(rng: np.random.Generator) -> tuple[list[InnovationRows], Linear, KnownMotion]:
     """An event's rows and turns, beside a model of forty columns of waves along any direction."""
     n = len(TIME)
     shown = np.stack([body(TIME), 0.5 * body(TIME), 0.2 * body(TIME)], axis=1)
@@ -34,8 +34,8 @@ def rows_and_turns(rng: np.random.Generator) -> tuple[list[EventRows], Linear, K
     columns = np.einsum("kn,ka->nak", waves, rng.standard_normal((40, 3)))
     white = rng.standard_normal((n, 3))
     none, still = np.zeros((n, 0)), np.zeros((n, 4))
-    rows = EventRows("a", TIME, white, white, shown, none, none, (), (), CORRELATED, still)
-    of_turns = EventRows(
+    rows = InnovationRows("a", TIME, white, white, shown, none, none, (), (), CORRELATED, still)
+    of_turns = InnovationRows(
         "a", TIME, pieces.centred(white), white, shown, none, none, (), (), CORRELATED, still, turns
     )
     to_white = np.linalg.inv(CORRELATED)

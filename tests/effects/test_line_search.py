@@ -9,7 +9,7 @@ import pytest
 from line_cases import INERTIA, NOISE, SCALES, TIME, body
 from totals_cases import ROOT
 
-from cassini_bayes.balance.linearised import EventRows, Linear
+from cassini_bayes.balance.linearised import InnovationRows, Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.sizes import summarised
@@ -27,12 +27,14 @@ from cassini_bayes.priors.reader import read_priors
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
 
 
-def event(shown: Array, left: Array, time_s: Array = TIME) -> tuple[EventRows, Linear]:
+def event(shown: Array, left: Array, time_s: Array = TIME) -> tuple[InnovationRows, Linear]:
     """One event's innovations (n, 3) in N m s about a model that takes up constants alone."""
     n = len(time_s)
     white = left @ np.linalg.inv(NOISE).T
     none = np.zeros((n, 0))
-    rows = EventRows("one", time_s, white, left, shown, none, none, (), (), NOISE, np.zeros((n, 4)))
+    rows = InnovationRows(
+        "one", time_s, white, left, shown, none, none, (), (), NOISE, np.zeros((n, 4))
+    )
     columns = ColumnsByPart.of(np.kron(np.ones((n, 1)), np.eye(3)), [3 * n])
     return rows, Linear(white.reshape(-1), columns, np.full(3, 1e-6))
 

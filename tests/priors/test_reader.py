@@ -13,7 +13,6 @@ import pytest
 from scipy import stats
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.model.thrusts import THRUST_LEVELS
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import (
     ParameterPrior,
@@ -22,7 +21,7 @@ from cassini_bayes.priors.reader import (
     known_parameters,
     read_priors,
 )
-from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.parameters import THRUST_LEVELS, ParameterSpec
 
 FOLDER = Path(__file__).parents[2] / "priors"
 B_BRANCH = FOLDER / "cassini_b_branch_2010.toml"

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from sweep_cases import small_fit
 
-from cassini_bayes.model.thrusts import THRUST_COMMON
 from cassini_bayes.report import render_report
 from cassini_bayes.report.page import Section, Slider
 from cassini_bayes.report.plots.quantities import interval, plus_minus
 from cassini_bayes.report.priors import COMMON_GROUP, prior_slider
 from cassini_bayes.results.record import Fit
 from cassini_bayes.results.review import Review
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 from cassini_bayes.sweep.cells import reweighted
 from cassini_bayes.sweep.models import Factory, walked_values
 from cassini_bayes.sweep.plan import plan

@@ -61,7 +61,7 @@ def test_cut_tails_are_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
     condition = draw_condition(rng)
     assert (condition.controller, condition.rates) == ("high gain, union", "ten times finer")
     flight = fly(with_events(condition, "one bias"), SCENARIO, PRIORS, rng)
-    event, chunk = flight.of_kind("bias")
+    ((event, chunk),) = flight.events
     collected = RowCollector()
     collected.add(chunk)
 

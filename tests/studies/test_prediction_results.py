@@ -206,7 +206,7 @@ def test_importance_draws_are_those_of_the_posterior() -> None:
 
     events, priors = flights(3)
     small = build_model(events, priors)
-    found, _, k = importance_physics(small, np.random.default_rng(2), 2_000)
+    found, k = importance_physics(small, np.random.default_rng(2), 2_000)
     assert k < 0.7
     other = warm_start(
         partial(log_posterior, small), len(small.space.names), np.random.default_rng(3)

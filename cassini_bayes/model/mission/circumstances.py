@@ -118,7 +118,13 @@ def circumstances_of(
 
 
 def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> Tank:
-    """The pressures of events: their own, else from readings, else from the blowdown law."""
+    """The pressures of events: their own, else from readings, else from the blowdown law.
+
+    Raises
+    ------
+    InputError
+        An event that fires without any of these; a pressure that is hardly one in kPa.
+    """
     same = np.ones(len(events))
     if mission.pressure is None:
         return Tank(1.0, same, same, same, 0.0 * same, 0.0 * same, 1.0)

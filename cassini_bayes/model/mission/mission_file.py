@@ -6,15 +6,17 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime, time
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.settings import EventsTable
 from cassini_bayes.files.checks import in_utc
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.units import YEAR_S
 
 
 def _within_calendar(epoch: datetime | date) -> datetime | date:
@@ -26,7 +28,6 @@ def _within_calendar(epoch: datetime | date) -> datetime | date:
 
 Epoch = Annotated[datetime | date, AfterValidator(_within_calendar)]
 What = Literal["recharge", "branch_swap", "separation", "burn", "articulation"]
-YEAR_S: Final = 365.25 * 86_400.0
 
 
 class ChangeTable(Table):
@@ -120,26 +121,16 @@ class TrendTable(Table):
     seed: int = Field(2012, ge=0)
 
 
-class MissionTable(Table):
+class MissionTable(EventsTable):
     """A mission file with every default filled in; paths are relative to it."""
 
-    events: list[str] = Field(min_length=1, examples=[["file.csv"]])
-    priors: str
-    source: str = "flight"
     pulse_shape: str = "first_order"
-    accept: list[str] = Field(default_factory=list)  # mistakes that are none
-    leave_out: bool = False  # bad cells
     spacecraft: dict[str, str] = Field(default_factory=dict)
     dated: list[DatedTable] = Field(default_factory=list)
     drift: dict[str, ChangeTable] = Field(default_factory=dict)
     pressure: PressureTable | None = None
     propellant: PropellantTable | None = None
     trend: TrendTable
-
-    def accepting(self, mistakes: Sequence[str], *, leave_out: bool) -> MissionTable:
-        """The same with what a command accepts besides."""
-        accept = [*self.accept, *mistakes]
-        return self.model_copy(update={"accept": accept, "leave_out": self.leave_out or leave_out})
 
 
 def utc(epoch: Epoch) -> datetime:
@@ -168,7 +159,13 @@ def read_mission_file(path: Path) -> MissionTable:
 
 
 def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
-    """Check the table of a mission file."""
+    """Check the table of a mission file.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_mission_file`.
+    """
     mission = validated(MissionTable, table, where)
     _require_order(f"{where}: dated", [fact.epoch for fact in mission.dated])
     readings = [] if mission.pressure is None else mission.pressure.readings

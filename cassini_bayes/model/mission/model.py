@@ -27,7 +27,6 @@ from cassini_bayes.model.mission.circumstances import Circumstances
 from cassini_bayes.model.mission.mission_file import ChangeTable, MissionTable
 from cassini_bayes.model.posterior import Event, Model, build_model
 from cassini_bayes.model.thrusts import (
-    THRUST_COMMON,
     ThrustInformation,
     level_factor,
     thrust_prior_of,
@@ -35,6 +34,7 @@ from cassini_bayes.model.thrusts import (
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import ParameterPrior, Priors, known_parameters
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 
 INTERCEPT: Final = "thrust_intercept_share"
 AGEING: Final = ("thrust_drift_n_per_year", "thrust_ageing_n_per_year")

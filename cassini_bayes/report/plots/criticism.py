@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, ScalarFormatter
 
-from cassini_bayes.balance.linearised import EventRows
+from cassini_bayes.balance.linearised import InnovationRows
 from cassini_bayes.diagnosis.correlations import (
     POINTWISE,
     WINDOW_ROWS,
@@ -48,7 +48,7 @@ _POINTS: Final = 2_500  # of a curve: more than a page has pixels
 
 
 def innovation_figure(
-    baseline: Sequence[EventRows], extended: Sequence[EventRows] = ()
+    baseline: Sequence[InnovationRows], extended: Sequence[InnovationRows] = ()
 ) -> Figure | None:
     """Innovations per event and body axis, N m s, with running means before and after.
 

@@ -49,10 +49,6 @@ class Flight:
     events: tuple[tuple[TelemetryEvent, Chunk], ...]
     rows: tuple[TotalsEvent, ...]
 
-    def of_kind(self, kind: str) -> tuple[TelemetryEvent, Chunk]:
-        """The first event of a kind."""
-        return next(each for each in self.events if each[0].kind == kind)
-
 
 def fly(
     condition: Condition,
