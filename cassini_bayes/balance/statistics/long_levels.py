@@ -21,7 +21,7 @@ from cassini_bayes.balance.statistics.rounded_counters import read_levels
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
-MOST: Final = 32  # in an event: as many tell nine tenths of what a column for every level tells
+MOST: Final = 24  # in an event: a call of the likelihood takes half as long again
 LONG: Final = 2.0  # times the usual root of what a level leaves, squared and summed over time
 LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
