@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cassini_bayes.cli.fits import say_not_converged
 from cassini_bayes.cli.options import (
     ConsoleReporter,
     Dask,
@@ -70,7 +71,9 @@ def sweep_command(
         lambda: json.dumps(as_record(outcome), allow_nan=False),
         lambda: str(outcome.folder / "sweep.csv"),
     )
-    plausibility.end(outcome.findings)
+    if not outcome.converged:
+        say_not_converged(outcome.folder.parent)
+    plausibility.end(outcome.findings, converged=outcome.converged)
 
 
 def as_record(outcome: SweepOutcome) -> dict[str, Any]:
@@ -78,6 +81,7 @@ def as_record(outcome: SweepOutcome) -> dict[str, Any]:
     tables = {name: frame_records(table) for name, table in outcome.tables.files().items()}
     return {
         "folder": str(outcome.folder),
+        "converged": outcome.converged,
         "cells": outcome.cells,
         "seconds": round(outcome.seconds, 1),
         "interval": "central 90 %",

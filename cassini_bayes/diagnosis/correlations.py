@@ -154,8 +154,8 @@ def drivers(event: InnovationRows) -> dict[str, Array]:
         columns[f"on-time of {name.upper()}"] = on_time
         columns[f"firing rate of {name.upper()}"] = _slope(event, on_time)
     for w, number in enumerate(event.wheels):
-        columns[f"speed of rwa{number}"] = running_mean(event.wheel_rad_s[:, w], WINDOW_ROWS)
-        columns[f"acceleration of rwa{number}"] = _slope(event, event.wheel_rad_s[:, w])
+        columns[f"speed of wheel {number}"] = running_mean(event.wheel_rad_s[:, w], WINDOW_ROWS)
+        columns[f"acceleration of wheel {number}"] = _slope(event, event.wheel_rad_s[:, w])
     smooth = np.stack([running_mean(event.rate_rad_s[:, c], WINDOW_ROWS) for c in range(3)], axis=1)
     for c, name in enumerate("XYZ"):
         columns[f"rate about {name}"] = smooth[:, c]

@@ -28,6 +28,7 @@ from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.shown import html_of, with_interval
+from cassini_bayes.results.fitting import stop_rule_held
 from cassini_bayes.results.record import Fit, read_fit
 from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.plan import Sweep, plan, reported_quantiles
@@ -49,6 +50,7 @@ class SweepOutcome:
     cells: int
     seconds: float
     findings: tuple[str, ...] = ()  # mistakes that were accepted, and what fits nothing known
+    converged: bool = True  # the fit whose priors are varied
 
     def summary(self) -> pd.DataFrame:
         """One row per quantity and cell: its mean and sd, shift and width against the baseline."""
@@ -56,7 +58,8 @@ class SweepOutcome:
 
     def _state(self) -> str:
         quantities = self.tables.baseline["quantity"].nunique()
-        return f"{self.cells} cells, {quantities} quantities; in {self.folder}"
+        doubt = "" if self.converged else "the fit has NOT CONVERGED: this is no result yet; "
+        return f"{doubt}{self.cells} cells, {quantities} quantities; in {self.folder}"
 
     def __repr__(self) -> str:
         return f"SweepOutcome: {self._state()}"
@@ -137,7 +140,8 @@ def execute_sweep(
             write_sweep_page(page, title, tables, names, figures, command, seed)
     seconds = time.monotonic() - began
     reporter.log(f"done in {seconds:.0f} s: {target}")
-    return SweepOutcome(target, tables, len(planned.cells), seconds, inputs.findings)
+    found = (len(planned.cells), seconds, inputs.findings, stop_rule_held(fit))
+    return SweepOutcome(target, tables, *found)
 
 
 def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:

@@ -133,7 +133,7 @@ def test_wheels_are_named_by_number_and_a_leak_is_seen() -> None:
     """Drivers name rwa4, not a third wheel; the leak leaves its mark in bands and sentences."""
     found = shown(verdict(True))
     drivers = {t.driver for t in found.drivers}
-    assert {"speed of rwa4", "acceleration of rwa4", "on-time of Z3", "time"} <= drivers
+    assert {"speed of wheel 4", "acceleration of wheel 4", "on-time of Z3", "time"} <= drivers
     assert not any("rwa3" in name for name in drivers)
     assert max(abs(t.z) for t in found.drivers if np.isfinite(t.z)) > found.family_z
     assert any("not white" in s.what for s in find_symptoms(left_by(verdict(True)).rows, found))

@@ -418,7 +418,10 @@ def test_units_and_names_for_people() -> None:
     assert short_name("delta_v_noise_m_s", "m s-1") == "delta_v_noise"
     assert short_name("mass_factor", "1") == "mass_factor"
     assert short_events(["2009-08-22-bias", "2010-02-13-bias"]) == ["2009-08-22", "2010-02-13"]
-    assert short_events(["a-very-long-event-name"]) == ["a-very-long-e…"]
+    assert short_events(["a-very-long-event-name"]) == ["a-very…nt-name"]
+    alike = [f"rwa-unload-orbit-{number}" for number in (1021, 1022)]
+    assert short_events(alike) == ["1021", "1022"]
+    assert len(set(short_events(["x" * 20 + "a" + "y" * 20, "x" * 20 + "b" + "y" * 20]))) == 2
     assert short_events(["same"]) == ["same"]
 
 

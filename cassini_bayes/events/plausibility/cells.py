@@ -84,7 +84,10 @@ class CellSearch:
             ways = np.maximum(np.stack([torques, -torques]), 0.0)
             either = (fired @ ways.swapaxes(1, 2)).max(axis=0)
             counted = np.where(is_long[:, None], either, counted)
-            size = np.append(0.0, np.linalg.norm(counted, axis=1))
+            # also between neighbours it may lack the tail of the last of them
+            tails = (TAIL_S * (steps > 0.0) @ ways.swapaxes(1, 2)).max(axis=0)
+            sizes = np.linalg.norm(counted, axis=1), np.linalg.norm(tails, axis=1)
+            size = np.append(0.0, np.maximum(*sizes))
             slack = np.max([np.roll(size, shift) for shift in (-2, -1, 0, 1)], axis=0)
         total = np.einsum("nij,jc,nc->ni", turn, weights, cells) - impulse
         return self._search(chunk.time_s[rows], cells, total, turn, weights, slack)

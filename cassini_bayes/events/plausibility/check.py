@@ -17,6 +17,7 @@ from cassini_bayes.events.plausibility.hypotheses import (
     AXES,
     Evidence,
     are_too_short,
+    between_firings,
     explanations,
     likelier_rates,
     likeliest,
@@ -136,16 +137,15 @@ class TelemetryCheck:
             self._check_still_rates(motion, findings)
         evidence = Evidence(self._nominal, motion, rows)
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
-        if misfit > SUSPECT:
-            whole = without_cut_pulses(evidence)
-            if (left := whole.misfit()) <= SUSPECT:
-                evidence, misfit = whole, left
+        for with_fewer in (without_cut_pulses, between_firings):
+            if misfit > SUSPECT and (left := with_fewer(evidence).misfit()) <= SUSPECT:
+                evidence, misfit = with_fewer(evidence), left
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()
         if misfit > SUSPECT:
             self._explain(evidence, misfit, findings)
-        elif best := self._likeliest(evidence):
+        elif (best := self._likeliest(evidence)) and self._likeliest(between_firings(evidence)):
             findings.refuse_best(self._where, ONE_MOTION, misfit, best)
         self._check_on_times(findings)
         self._check_cells(findings)

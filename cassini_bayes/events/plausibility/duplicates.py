@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility.verdict import STRICT, Findings, Policy
 from cassini_bayes.events.totals import TotalsEvent
 
@@ -40,6 +41,8 @@ def refuse_duplicates(
     findings = Findings(policy)
     first: dict[str, str] = {}
     for where, content in contents:
+        if first.get(content) == where:
+            raise InputError(where, "each event once", "the same event twice", "leave one out")
         if content in first:
             findings.refuse(
                 "same-telemetry",

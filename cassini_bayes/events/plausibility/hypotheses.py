@@ -12,6 +12,7 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.events.plausibility.attitudes import CONVENTIONS
+from cassini_bayes.events.plausibility.cells import TAIL_S
 from cassini_bayes.events.plausibility.momentum import (
     WIDTHS,
     Correction,
@@ -67,6 +68,8 @@ AXES: Final = "xyz"
 SAME_TIME_S: Final = 1e-6  # rounding of times that were written to a microsecond
 MOST_OF_ROWS: Final = 0.3
 """Of the rows: fewer are not asked for their noise (judgement)."""
+LEAST_QUIET: Final = 30  # rows between firings that are judged by themselves (judgement)
+QUIET_SPAN: Final = 0.5  # of the event, that they have to span
 SAME_NOISE: Final = 1.5
 """Of the noise that moved counters leave (docs/topics/plausibility.md): by trial."""
 AnyRows = TypeVar("AnyRows", bound=Motion)
@@ -192,6 +195,26 @@ def without_cut_pulses(evidence: Evidence) -> Evidence:
     if whole.all() or whole.mean() < MOST_OF_ROWS:
         return evidence
     return replace(evidence, rows=rows.only(whole))
+
+
+def between_firings(evidence: Evidence) -> Evidence:
+    """The same without rows before or after which something fired, if enough stay.
+
+    Rows in step with the control cycle may all lack the tails of what fired just before. More than
+    the tails of a couple stay open by something else.
+    """
+    rows, balance = evidence.rows, evidence.balance()
+    if rows is None or balance is None:
+        return evidence
+    couple = 2.0 * np.linalg.norm(evidence.nominal.torques, axis=0).max(initial=0.0)
+    if balance.open_nms > TAIL_S * couple:
+        return evidence
+    counters = np.concatenate([rows.on_time_s, rows.pulses], axis=1)
+    fires = np.any(np.diff(counters, axis=0) != 0.0, axis=1)
+    quiet = ~np.r_[True, fires] & ~np.r_[fires, True]
+    if quiet.sum() < LEAST_QUIET or np.ptp(rows.time_s[quiet]) < QUIET_SPAN * np.ptp(rows.time_s):
+        return evidence
+    return replace(evidence, rows=rows.only(quiet))
 
 
 def with_noise_of_lags(evidence: Evidence) -> Evidence:

@@ -251,8 +251,10 @@ def _sources(
             raise InputError(f"{where}.source", "a column of numbers", got, fix)
         if file.header.count(source) != 1:
             expected = f"a column of {file.header_place}"
-            got = f"{source!r}, which is there {'twice' if source in file.header else 'nowhere'}"
-            raise InputError(f"{where}.source", expected, got, suggestion(source, file.header))
+            is_there = source in file.header
+            got = f"{source!r}, which is there {'twice' if is_there else 'nowhere'}"
+            fix = "rename one of the two" if is_there else suggestion(source, file.header)
+            raise InputError(f"{where}.source", expected, got, fix)
     return listed
 
 

@@ -56,7 +56,8 @@ class Line:
 
     def of(self, values: Array) -> Array:
         """The numbers, converted."""
-        return (values - self.origin) * self.factor + self.offset
+        with np.errstate(over="ignore"):  # of a damaged cell: what is not finite is refused
+            return (values - self.origin) * self.factor + self.offset
 
 
 def line_of_clock(

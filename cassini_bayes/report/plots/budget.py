@@ -32,9 +32,9 @@ LEAST_SHOWN: Final = 0.003  # a share too thin to be seen is not in the legend
 def block_label(block: str) -> str:
     """What a share of the budget stands for."""
     return {
-        NOISE_ONLY: "left with all nuisances known (dead-band rates, rounding, thrust priors)",
+        NOISE_ONLY: "left with all nuisances known (noise of the data, thrust priors)",
         NONLINEAR: "joint, not attributable to one block",
-        "noise": "noise scales (unknown size of the dead-band rates)",
+        "noise": "levels of noise, which are not known for sure",
     }.get(block, block)
 
 

@@ -20,7 +20,8 @@ from cassini_bayes.diagnosis.correlations import (
     running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve
-from cassini_bayes.report.plots.panels import axis_panels
+from cassini_bayes.report.plots.panels import LONGEST_TITLE, axis_panels
+from cassini_bayes.report.plots.quantities import shortened
 from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
@@ -107,7 +108,7 @@ def correlation_figure(
                 if _untested(t, event, axis):
                     place = {"ha": "center", "va": "center"}
                     panel.text(0.0, places[t.driver], "no test", fontsize=6.5, **place)
-            panel.set_title(f"{event}, {axis.upper()}", loc="left")
+            panel.set_title(f"{shortened(event, LONGEST_TITLE)}, {axis.upper()}", loc="left")
             panel.set_xscale("symlog", linthresh=10.0, linscale=3.0)
             panel.set_ylim(-0.7, len(names) - 0.3)
             panel.set_xlabel("standardised correlation (σ)")

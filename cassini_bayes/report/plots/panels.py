@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.report.plots.quantities import shortened
 from cassini_bayes.report.plots.style import event_axis, new_figure, symbols
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 PANELS_ACROSS: Final = 4  # a page
 NARROWEST_IN: Final = 9.2  # title and legend need it
 THRUST_LABEL: Final = "thrust [N]"
+LONGEST_TITLE: Final = 28  # letters of an event in a panel of a third of a page
 
 
 def limits_of(*values: Array, room: float = 0.10) -> tuple[float, float]:
@@ -47,7 +49,7 @@ def axis_panels(
     for row, event in zip(panels, events, strict=True):
         row[0].set_ylabel(up)
         for panel, axis in zip(row, "XYZ", strict=True):
-            panel.set_title(f"{event}, {axis}", loc="left")
+            panel.set_title(f"{shortened(event, LONGEST_TITLE)}, {axis}", loc="left")
     for panel in panels[-1]:
         panel.set_xlabel(across)
     return panels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -114,12 +115,34 @@ def wrapped_name(name: str, longest: int = 13) -> str:
 
 
 def short_events(events: Sequence[str], longest: int = 14) -> list[str]:
-    """Event ids without what all of them end with: ``2009-08-22-bias`` → ``2009-08-22``."""
-    words = [event.split("-") for event in events]
-    while len(words) > 1 and all(len(w) > 1 for w in words) and len({w[-1] for w in words}) == 1:
-        words = [w[:-1] for w in words]
-    labels = ["-".join(w) for w in words]
-    return [label if len(label) <= longest else f"{label[: longest - 1]}…" for label in labels]
+    """Event ids without what all of them end with: ``2009-08-22-bias`` → ``2009-08-22``.
+
+    Where they are still too long, also without what all of them begin with; then the middle is left
+    out. Ids that differ have labels that differ.
+    """
+    words = [re.split(r"(?<=[-_ ])", event) for event in events]
+    words = _without_common(words, last=True)
+    if any(len("".join(w)) > longest for w in words):
+        words = _without_common(words, last=False)
+    labels = ["".join(w).rstrip("-_ ") for w in words]
+    cut = [shortened(label, longest) for label in labels]
+    return cut if len(set(cut)) == len(set(events)) else labels
+
+
+def _without_common(words: list[list[str]], *, last: bool) -> list[list[str]]:
+    """Without the words that all of several lists end, or begin, with; one stays of each."""
+    end = -1 if last else 0
+    while len(words) > 1 and min(map(len, words)) > 1 and len({w[end] for w in words}) == 1:
+        words = [w[:-1] if last else w[1:] for w in words]
+    return words
+
+
+def shortened(name: str, longest: int) -> str:
+    """A name without its middle where it is too long."""
+    if len(name) <= longest:
+        return name
+    front = (longest - 1) // 2
+    return f"{name[:front]}…{name[len(name) - (longest - 1 - front) :]}"
 
 
 def observed_name(quantity: str) -> str:
