@@ -104,8 +104,9 @@ class Counter:
                     row,
                     column,
                     f"a cumulative count of at least {before:.10g} {self._unit}",
-                    "it was reset or misread, and is no counter that wraps: add what was counted"
-                    f" before, or split the event there; {self._other_kind(block.header[column])}",
+                    "it was reset or misread, or wraps at a size that is none of the usual ones or"
+                    " not the only one: add what was counted before, or split the event there;"
+                    f" {self._other_kind(block.header[column])}",
                     f"{now:.10g}",
                 )
             self._size = size
