@@ -33,6 +33,7 @@ from cassini_bayes.results.tables import (
     summarise,
     thrust_baselines,
     thrust_conflicts,
+    wide_sentences,
     worst_convergence,
 )
 from cassini_bayes.results.telemetry_baselines import torque_methods
@@ -82,7 +83,8 @@ class Review:
         thrusts = thrust_conflicts(self.summary)
         thrusts = thrusts[~thrusts["name"].isin(self.nuisances["name"])]
         pulled = (*conflict_sentences(thrusts), *conflict_sentences(self.nuisances))
-        return (*self.notes, *physical, *unseen, *pulled)
+        wide = wide_sentences(self.model.space.names, self.z)
+        return (*self.notes, *physical, *unseen, *pulled, *wide)
 
     @cached_property
     def summary(self) -> pd.DataFrame:

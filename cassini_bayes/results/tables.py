@@ -25,6 +25,7 @@ from cassini_bayes.spacecraft.parameters import SOFTWARE
 
 HDI_PROBABILITY: Final = 0.90
 MM_PER_M: Final = 1e3
+WIDER: Final = 1.3  # than its prior, in standard normals: four hundred draws reach 1.1 by chance
 
 
 def hdi(draws: Array, probability: float = HDI_PROBABILITY) -> tuple[Array, Array]:
@@ -263,6 +264,20 @@ def conflict_sentences(nuisances: pd.DataFrame) -> list[str]:
         f"prior ({row['prior_mean']:.4g} ± {row['prior_sd']:.2g} → {row['mean']:.4g} ± "
         f"{row['sd']:.2g} {row['unit']})."
         for _, row in nuisances[nuisances["verdict"] == "conflict"].iterrows()
+    ]
+
+
+def wide_sentences(names: Sequence[str], z: Array) -> list[str]:
+    """Walked parameters whose draws z (n, d) are wider than their priors: several modes, as a rule.
+
+    Data that tell nothing of a parameter leave it as wide as its prior. Where they pull it to two
+    places, mean and interval describe neither.
+    """
+    return [
+        f"{name}: the posterior is {width:.1f} times as wide as the prior: it has more than one "
+        "mode, or a long tail; look at its figure before you use its mean and interval."
+        for name, width in zip(names, z.std(axis=0), strict=True)
+        if width > WIDER
     ]
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 
-from cassini_bayes.results.tables import conflict_sentences, thrust_conflicts
+from cassini_bayes.results.tables import conflict_sentences, thrust_conflicts, wide_sentences
 
 
 def summary(common: float, *levels: float) -> pd.DataFrame:
@@ -35,3 +36,12 @@ def test_thrusts_as_believed_are_not_said() -> None:
     """Within a width nothing is said, nor where nothing fires."""
     assert thrust_conflicts(summary(0.75, 0.73)).empty
     assert thrust_conflicts(summary(0.75).iloc[:0]).empty
+
+
+def test_a_posterior_in_two_places_is_said() -> None:
+    """Two modes two standard deviations to either side; a parameter that nothing is known of."""
+    rng = np.random.default_rng(1)
+    places = rng.choice([-2.0, 2.0], 400) + 0.4 * rng.standard_normal(400)
+    z = np.stack([places, rng.standard_normal(400), 0.3 * rng.standard_normal(400)], axis=1)
+    (said,) = wide_sentences(("cm_y_m", "cm_x_m", "tau_fall_s"), z)
+    assert said.startswith("cm_y_m: the posterior is 2.0 times as wide as the prior")
