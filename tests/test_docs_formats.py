@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.diagnosis import diagnosis
 from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES

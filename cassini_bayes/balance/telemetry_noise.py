@@ -15,8 +15,8 @@ from cassini_bayes.balance.kernel import TurnVariances, gain_and_covariance, sum
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares, coherent_shares
-from cassini_bayes.balance.statistics.columns import LostTails, lost_tails
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
+from cassini_bayes.balance.statistics.sampling import LostTails, lost_tails
 from cassini_bayes.balance.telemetry_balance import ChannelVariances, OpenCounters, TelemetryBalance
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM

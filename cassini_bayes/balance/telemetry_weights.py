@@ -15,7 +15,8 @@ import numpy as np
 from cassini_bayes.balance.kernel import turned_weights
 from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics.columns import CUT_COLUMNS, walk_scales
+from cassini_bayes.balance.statistics.layout import CUT_COLUMNS
+from cassini_bayes.balance.statistics.walk import walk_scales
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, Reduced, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array

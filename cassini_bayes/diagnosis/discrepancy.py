@@ -27,7 +27,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from cassini_bayes.balance.linearised import InnovationRows, Linear, change_of_evidence
 from cassini_bayes.balance.part_columns import spread
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.events import Events

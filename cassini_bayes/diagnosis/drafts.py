@@ -32,7 +32,7 @@ from cassini_bayes.balance.linearised import (
     information_without_each,
     whitened,
 )
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at

@@ -23,7 +23,8 @@ from cassini_bayes.balance.linearised import (
     with_unknowns,
 )
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
-from cassini_bayes.balance.statistics.columns import Layout, Rows
+from cassini_bayes.balance.statistics.columns import Rows
+from cassini_bayes.balance.statistics.layout import Layout
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights

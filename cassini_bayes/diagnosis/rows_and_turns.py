@@ -26,13 +26,14 @@ from cassini_bayes.balance.linearised import (
 )
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics.columns import Rows, walk_columns, walk_scales
+from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,
     pieces_of,
     turns_between,
 )
+from cassini_bayes.balance.statistics.walk import walk_columns, walk_scales
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import wheel_covariance
 from cassini_bayes.computing.arrays import Array

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.balance.linearised import Information, mean_change_of_evidence
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis

@@ -22,7 +22,8 @@ import pandas as pd
 
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.columns import direction_cosines, effective_increments
+from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array, picked
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model

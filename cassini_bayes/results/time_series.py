@@ -21,6 +21,7 @@ import pandas as pd
 from cassini_bayes.balance.open_counters import OpenScales, patterns_at, step_variances
 from cassini_bayes.balance.statistics import Carry, settle
 from cassini_bayes.balance.statistics.columns import Rows
+from cassini_bayes.balance.statistics.walk import cosines, walk_scales
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance, open_scales
 from cassini_bayes.balance.telemetry_weights import balance_weights
@@ -91,10 +92,9 @@ class BalanceRows:
     def drift(self) -> Array:
         """Cosines (r, M) that standard normals turn into the momentum of a unit torque noise."""
         statistics = self.term.event.statistics
-        duration = statistics.duration_s
-        order = np.arange(1, len(statistics.mode_gram) + 1) * np.pi
-        phase = self.rows.time_s[:, None] / duration * order
-        return np.asarray(np.sqrt(2.0 * duration) * np.cos(phase) / order)
+        count, duration = len(statistics.mode_gram), statistics.duration_s
+        each = cosines(self.rows.time_s, duration, 1 + count)[:, 1:]
+        return np.asarray(each * walk_scales(duration, count)[1:])
 
 
 @dataclass(frozen=True)

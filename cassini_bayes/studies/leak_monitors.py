@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.measured_delta_v import on_time_columns, rows_at_rest
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property

@@ -22,8 +22,8 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
 
-from cassini_bayes.balance.statistics.columns import direction_cosines
 from cassini_bayes.balance.statistics.preparation import channel_step
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published.attitude import AttitudeRecord, attitude_records

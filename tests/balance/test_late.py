@@ -19,9 +19,10 @@ import cassini_bayes.model.telemetry
 from cassini_bayes.balance.flat_motion import in_thrust_units, pushed_information
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, layout_of, reduce_chunks
-from cassini_bayes.balance.statistics.columns import close_pairs, effective_increments
+from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.counters import delivered_pulses, firings
 from cassini_bayes.balance.statistics.late import body_share, late_pulses
+from cassini_bayes.balance.statistics.pairs import close_pairs
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import rows_at_readings
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance

@@ -20,7 +20,8 @@ from cassini_bayes.balance.statistics import (
     save_statistics,
     settle,
 )
-from cassini_bayes.balance.statistics.columns import effective_increments, quarter_of
+from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.pairs import quarter_of
 from cassini_bayes.balance.statistics.reduction import (
     MODES,
     CounterStatistics,

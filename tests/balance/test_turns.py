@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
-from cassini_bayes.balance.statistics.columns import ExtraColumn, cosines, walk_scales
+from cassini_bayes.balance.statistics.sampling import ExtraColumn
 from cassini_bayes.balance.statistics.turns import (
     Pieces,
     WhiteTurns,
@@ -17,6 +17,7 @@ from cassini_bayes.balance.statistics.turns import (
     turns_between,
     walk_square,
 )
+from cassini_bayes.balance.statistics.walk import cosines, walk_scales
 
 
 def test_integrated_columns_have_the_gram_matrices_of_slopes_and_the_rest() -> None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cassini_bayes.balance.statistics.columns import RowContext
 from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.sampling import RowContext
 from cassini_bayes.balance.statistics.turns import Pieces
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.oscillation import BalancedRates, Oscillation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.published.attitude import attitude_records
 

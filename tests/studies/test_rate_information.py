@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.columns import direction_cosines
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.studies.blind import rate_information as module
 from cassini_bayes.studies.blind.rate_information import rate_information

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from cassini_bayes.balance.statistics.columns import (
-    Carry,
-    ExtraColumn,
-    Layout,
-    RowContext,
-    Sampling,
-    layout_of,
-    settle,
-)
+from cassini_bayes.balance.statistics.columns import Carry, settle
+from cassini_bayes.balance.statistics.layout import Layout, layout_of
 from cassini_bayes.balance.statistics.preparation import BLOCK_S
 from cassini_bayes.balance.statistics.reduction import (
     EventStatistics,
@@ -19,6 +12,7 @@ from cassini_bayes.balance.statistics.reduction import (
     save_statistics,
 )
 from cassini_bayes.balance.statistics.rows import Samples
+from cassini_bayes.balance.statistics.sampling import ExtraColumn, RowContext, Sampling
 
 __all__ = [
     "BLOCK_S",

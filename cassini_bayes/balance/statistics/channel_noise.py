@@ -13,8 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import Sampling, direction_cosines
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
+from cassini_bayes.balance.statistics.sampling import Sampling
+from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM

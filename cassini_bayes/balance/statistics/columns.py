@@ -15,376 +15,27 @@ thruster k. The effective on-time s depends on the pulse parameters, by the colu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from cassini_bayes.balance.statistics.counters import firings
-from cassini_bayes.balance.statistics.long_levels import NO_LEVELS, LongLevels
-from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS, PulseBasis
+from cassini_bayes.balance.statistics.layout import CUT_COLUMNS, Layout
+from cassini_bayes.balance.statistics.pairs import Counted, Pairs, cut_columns, pairs_of
+from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rows import (
     SAME_S,
     Samples,
     quiet_rows,
     rows_at_readings,
 )
-from cassini_bayes.balance.statistics.turning import turned_into_body
+from cassini_bayes.balance.statistics.sampling import RowContext, Sampling
+from cassini_bayes.balance.statistics.turning import direction_cosines, turned_into_body
+from cassini_bayes.balance.statistics.walk import walk_columns
 from cassini_bayes.computing.arrays import Array, Flags, Places
-from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.spacecraft.pulses import STEADY_S, PulseShape
 
-AXES = "xyz"
-CUT_PARTS = 4  # of an event, whose cut tails are independent of each other
-# Per couple: pairs that may be close, and of every part the nominal variance of its steps, over
-# that of a pair: of cut tails and of unlike pulses.
-CUT_COLUMNS = 1 + CUT_PARTS
-# How often pulses are a control cycle apart is the controller's business (0.45 to 0 of the pairs
-# within a second): a share that is inferred, and how it falls with the time between two counter
-# readings (docs/topics/telemetry-likelihood.md §7).
-ALIKE_S = 1.0  # pairs of pulses within it are as often close as any
-ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
-# Of the chance of two pulses within that time: three have 1.5 times the chance for each pair. With
-# a share near 1 more of them lose than there are; the share is then smaller.
-MOST_ALIKE = 5.0 / 3.0
-MOST_ACROSS = 4.0  # pairs about a reading, of several pulses on either side
-# The slowest cosines of torque noise are unknowns: rows and turns see them alike. How many matter
-# grows with the duration (docs/topics/telemetry-likelihood.md §8).
-COSINE_S = 300.0  # of the event, for each cosine
-WALK_COSINES = 6, 16  # as few, as many: the slow band has twice as many modes
-USUAL_SHARE = 0.3  # of close pairs
-LEAST_PAIR_S2 = 1e-12  # (1 µs)²: where no tail is cut, unlike widths are all that scatters
-LEAST_FALL_S = 1e-4  # a valve that closes at once: nothing of its thrust is left a cycle later
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
-
-
-@dataclass(frozen=True)
-class RowContext:
-    """What a column that an effect brings may depend on, at the n rows that enter the balance.
-
-    ``counter_time_s``, ``on_time_s`` and ``pulses`` are the counter readings around these rows, to
-    be looked up at other times as well; the columns of both are the thrusters.
-    """
-
-    time_s: Array  # (n,)
-    rate_rad_s: Array  # (n, 3)
-    wheel_rad_s: Array  # (n, W)
-    counter_time_s: Array  # (m,)
-    on_time_s: Array  # (m, K)
-    pulses: Array  # (m, K)
-
-    def on_time_at(self, time_s: Array) -> Array:
-        """Commanded on-time (n, K) at the last reading before or at each time."""
-        return self.on_time_s[self.reading(time_s)]
-
-    def pulses_at(self, time_s: Array) -> Array:
-        """Pulses (n, K) at the last reading before or at each time."""
-        return self.pulses[self.reading(time_s)]
-
-    def reading(self, time_s: Array) -> NDArray[np.intp]:
-        """Place of the last reading before or at each time."""
-        place = np.searchsorted(self.counter_time_s, time_s + SAME_S, side="right") - 1
-        return np.maximum(place, 0)
-
-
-@dataclass(frozen=True)
-class ExtraColumn:
-    """A scalar column of an effect: its name and its values (n,) at the rows.
-
-    ``over_trapezoids`` is its integral over that by trapezoids, from row to row: of a swing of
-    frequency f and rows Δ apart tan(π f Δ)/(π f Δ), of all that is slow one.
-    """
-
-    name: str
-    values: Callable[[RowContext], Array]
-    over_trapezoids: float = 1.0
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """How telemetry is turned into columns.
-
-    ``pulse_reference_s`` are the τ_delay, τ_rise, τ_fall at which pulses are exact;
-    ``guard_s`` is how long after its end a pulse may still deliver momentum, ``duration_s`` the
-    time of the last row. ``corner_rad`` is what a trapezoid of wheel rates may miss of a turn, in
-    rad of the wheel, ``corner_rad_s`` the second difference of wheel rates that is no noise.
-    ``reference_noise`` are noise levels, by name, of about the right size: all hypotheses of an
-    event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). Those of
-    ``noise_to_see`` are taken from the event where it shows them (:mod:`.channel_noise`).
-    ``widths_s`` are what pulses of the event are like, all as likely, ``unsure_s`` how well the
-    on-time of a firing is known (:class:`.PulseBasis`), and
-    ``gaps_s`` the times after which close ones follow (without, a control cycle), ``paired_s`` the
-    widths of pulses, means over firings, all as likely (without, pulses of steady thrust). With a
-    ``block_s``, rows are means over blocks of that length of those at readings of the counters,
-    ``block_rows`` of them usually, whatever is still being delivered then (:mod:`.late`).
-    ``levels`` are roundings of counters that are unknowns.
-    """
-
-    pulse_shape: PulseShape
-    pulse_reference_s: tuple[float, float, float]
-    guard_s: float
-    couples: tuple[tuple[int, ...], ...]  # thrusters (places) that only ever fire together
-    duration_s: float
-    extra: tuple[ExtraColumn, ...] = ()
-    control_cycle_s: float = 0.0  # pulses start with control cycles
-    corner_rad: float = np.inf
-    corner_rad_s: float = np.inf
-    reference_noise: tuple[tuple[str, float], ...] = ()
-    noise_to_see: tuple[str, ...] = ()
-    widths_s: tuple[float, ...] = ()
-    unsure_s: float = 0.0
-    gaps_s: tuple[float, ...] = ()
-    paired_s: tuple[float, ...] = (STEADY_S,)
-    block_s: float = 0.0
-    block_rows: float = 0.0
-    levels: LongLevels = field(default=NO_LEVELS, compare=False)
-
-    @cached_property
-    def pair_s2(self) -> float:
-        """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
-        gaps = np.array(self.gaps_s or (self.control_cycle_s,))
-        cut, fall = self.cut_tail_s(self.pulse_reference_s), self.pulse_reference_s[2]
-        given = (np.array([value]) for value in (cut, fall, USUAL_SHARE))
-        lost = lost_tails(gaps, self.control_cycle_s, *given)
-        return max(float(lost.variance_s2[0]), LEAST_PAIR_S2)
-
-    def cut_tail_s(
-        self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
-    ) -> Array:
-        """On-time (n,), or one of numbers, s, that a pulse loses whose successor begins as it ends.
-
-        The tail of a long one, times the thrust that the first pulse has reached and the one that
-        the second reaches: (τ_f − τ_r) (1 − exp(−Δ₁/τ_r)) (1 − exp(−Δ₂/τ_r)) of a first-order
-        valve. Both are taken at their mean over the widths of pairs.
-
-        Parameters
-        ----------
-        tau_s
-            τ_delay, τ_rise, τ_fall, each (n,) or a number.
-        offset_s
-            (n,) or a number, by how much pulses last longer than commanded.
-        """
-        return np.asarray(self.pulse_shape.tail_s(*tau_s) * self._reached(tau_s, offset_s) ** 2)
-
-    def cut_by_width(self, width_s: Array) -> Array:
-        """What pairs of these widths (…) lose over those of the event's, at the reference: ρ²/ρ̄².
-
-        ρ is the thrust that a pulse reaches, ρ̄ its mean over ``paired_s``.
-        """
-        own = self.pulse_shape.reached(width_s, *self.pulse_reference_s)
-        mean = float(self._reached(self.pulse_reference_s)) ** 2
-        return np.asarray(own**2 / mean) if mean > 0.0 else np.ones_like(own)
-
-    def _reached(
-        self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
-    ) -> Array:
-        """Mean thrust, over the steady one, that the event's pulses reach."""
-        delay, rise, fall = (np.asarray(value)[..., None] for value in tau_s)
-        lasts = np.maximum(np.asarray(self.paired_s) + np.asarray(offset_s)[..., None], 0.0)
-        return np.asarray(self.pulse_shape.reached(lasts, delay, rise, fall).mean(axis=-1))
-
-    @cached_property
-    def pulses(self) -> PulseBasis:
-        """Columns and weights of pulses."""
-        reference = self.pulse_reference_s
-        return PulseBasis(self.pulse_shape, reference, self.widths_s, self.unsure_s)
-
-
-def walk_cosines(duration_s: float) -> int:
-    """How many of the slowest cosines of torque noise are unknowns of an event."""
-    fewest, most = WALK_COSINES
-    return min(max(fewest, math.ceil(duration_s / COSINE_S)), most)
-
-
-class LostTails(NamedTuple):
-    """On-time that a pair of pulses loses by a cut tail: mean (n,), s, and variance (n,), s²."""
-
-    mean_s: Array
-    variance_s2: Array
-
-
-def lost_tails(
-    gaps_s: Array,
-    cycle_s: float,
-    tail_s: Array,
-    fall_s: Array,
-    share: Array,
-    offset_s: Array | float = 0.0,
-) -> LostTails:
-    """What a pair within a second loses, that is close with the probability s.
-
-    A valve that opens again after a gap loses x = exp(−gap/τ_f) of what it loses without one
-    (:meth:`.Sampling.cut_tail_s`). A close pair has one of the gaps (m,)
-    seen, any other one that is half a control cycle or more longer, up to a second, all as likely.
-    A pulse that goes on for longer, by an offset, shortens the gap, and what overlaps is lost as
-    well, y = offset − gap. Means and variances are those over all gaps. Gaps, the cycle and time
-    constants are in s; ``tail_s`` (what is lost without a gap), τ_f, s and the offset are (n,).
-    """
-    fall, usual = np.maximum(fall_s, LEAST_FALL_S)[:, None], gaps_s + 0.5 * cycle_s
-    tail, offset = tail_s[:, None], np.reshape(offset_s, (-1, 1))
-    left, overlap = np.maximum(gaps_s - offset, 0.0), np.maximum(offset - gaps_s, 0.0)
-    lost = tail * np.exp(-left / fall) + overlap
-    usual = usual[usual < ALIKE_S]
-    first, last = np.maximum(usual - offset, 0.0), np.maximum(ALIKE_S - offset, 0.0)
-    most, least = np.maximum(offset - usual, 0.0), np.maximum(offset - ALIKE_S, 0.0)
-
-    def later(power: int) -> Array:
-        """Mean (n,) over the other gaps of the power of what is lost: tail x, or tail + y."""
-        tau, next_power = fall / power, power + 1
-        cut = tail**power * tau * (np.exp(-first / tau) - np.exp(-last / tau))
-        covered = ((tail + most) ** next_power - (tail + least) ** next_power) / next_power
-        return np.asarray(((cut + covered) / (ALIKE_S - usual)).sum(axis=1) / len(gaps_s))
-
-    mean = share * lost.mean(axis=1) + (1.0 - share) * later(1)
-    square = share * (lost**2).mean(axis=1) + (1.0 - share) * later(2)
-    return LostTails(mean, np.maximum(square - mean**2, 0.0))
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Names and places of the columns: vector columns first, scalar columns after them."""
-
-    wheels: tuple[int, ...]
-    thrusters: tuple[str, ...]
-    couples: tuple[tuple[int, ...], ...]
-    cosines: int  # of torque noise that are unknowns
-    levels: tuple[int, ...] = ()  # couples of roundings that are unknowns
-    extra: tuple[str, ...] = ()
-
-    @cached_property
-    def vector(self) -> tuple[str, ...]:
-        """Names of the vector columns."""
-        walks = (f"walk:{order}" for order in range(1, 1 + self.cosines))
-        steady = [f"{what}:{axis}" for what in ("initial", "torque", *walks) for axis in AXES]
-        fired = [
-            f"thrust:{name}:{axis}:{column}"
-            for name in self.thrusters
-            for axis in AXES
-            for column in PULSE_COLUMNS
-        ]
-        return (*steady, *fired)
-
-    @cached_property
-    def scalar(self) -> tuple[str, ...]:
-        """Names of the scalar columns."""
-        return (
-            *(f"rate:{axis}" for axis in AXES),
-            "one",
-            *(f"wheel:{number}" for number in self.wheels),
-            *(f"turn:{axis}" for axis in AXES),
-            *(
-                f"cut:{self.thrusters[couple[0]]}:{part}"
-                for couple in self.couples
-                for part in ("mean", *range(CUT_PARTS))
-            ),
-            *(
-                f"level:{self.thrusters[self.couples[couple][0]]}:{place}"
-                for place, couple in enumerate(self.levels)
-            ),
-            *self.extra,
-        )
-
-    @property
-    def size(self) -> int:
-        """Number of columns A per axis."""
-        return len(self.vector) + len(self.scalar)
-
-    @property
-    def initial(self) -> slice:
-        """The three columns of the initial momentum."""
-        return slice(0, 3)
-
-    @property
-    def torque(self) -> slice:
-        """The three columns of a steady torque."""
-        return slice(3, 6)
-
-    @property
-    def walk(self) -> slice:
-        """What the slowest cosines of a random walk gained, (D, 3 axes) in this order."""
-        return slice(self.torque.stop, self.torque.stop + 3 * self.cosines)
-
-    @property
-    def fired(self) -> slice:
-        """Columns of the thrusters, (K, 3 axes, C pulse columns) in this order."""
-        return slice(self.walk.stop, len(self.vector))
-
-    @property
-    def rate(self) -> slice:
-        """The three body rates."""
-        return slice(len(self.vector), len(self.vector) + 3)
-
-    @property
-    def one(self) -> int:
-        """The constant."""
-        return len(self.vector) + 3
-
-    @property
-    def wheel(self) -> slice:
-        """The wheel rates."""
-        return slice(len(self.vector) + 4, len(self.vector) + 4 + len(self.wheels))
-
-    @property
-    def turn(self) -> slice:
-        """The turns of the attitude, in integrated columns alone."""
-        return slice(self.wheel.stop, self.wheel.stop + 3)
-
-    @property
-    def cut(self) -> slice:
-        """Cut tails and unlike pulses, :data:`CUT_COLUMNS` per couple."""
-        return slice(self.turn.stop, self.turn.stop + CUT_COLUMNS * len(self.couples))
-
-    @property
-    def level(self) -> slice:
-        """Roundings of counters that are unknowns."""
-        return slice(self.cut.stop, self.cut.stop + len(self.levels))
-
-    @property
-    def extra_place(self) -> slice:
-        """Columns that effects brought."""
-        return slice(self.level.stop, self.size)
-
-
-def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Sampling) -> Layout:
-    """The columns of an event with these wheels and thrusters."""
-    count = walk_cosines(sampling.duration_s)
-    return Layout(tuple(wheels), tuple(thrusters), sampling.couples, count)
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """Pairs of pulses that may be close together, by counter interval (m,) and couple (G,).
-
-    Of every pair the tail of the first pulse may have been cut: ``square`` (m, G) counts pairs for
-    variances, each by how often it is close against one of two pulses within a second, and by the
-    square of what it loses against one of the event's mean widths. ``fired`` (m, G) tells which
-    couples fired at all. ``unlike`` (m, G, C, C) are the covariances of what the pulse
-    columns gain beyond what is expected (:meth:`.PulseBasis.scatter`), s², and ``slopes``
-    (m, G, C) what they gain per on-time (:meth:`.PulseBasis.slopes`).
-    """
-
-    end_s: Array
-    fired: NDArray[np.bool_]
-    square: Array
-    unlike: Array
-    slopes: Array
-
-    def steps(self, pair_s2: float) -> Array:
-        """Variance (m, G) of what intervals gain beyond what is expected, over that of a pair."""
-        return np.asarray(self.square + self.unlike[..., 0, 0] / pair_s2)
-
-    @staticmethod
-    def joined(parts: Sequence[Pairs]) -> Pairs:
-        """Several stretches, one after the other."""
-        return Pairs(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(Pairs)
-            )
-        )
 
 
 @dataclass(frozen=True)
@@ -465,22 +116,6 @@ class Rows:
         )
 
 
-def direction_cosines(attitude: Array) -> Array:
-    """Inertial-to-body matrices (N, 3, 3) of Euler parameters (N, 4), scalar last.
-
-    C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
-    """
-    vector, scalar = attitude[:, :3], attitude[:, 3]
-    matrix = 2.0 * vector[:, :, None] * vector[:, None, :]
-    diagonal = scalar**2 - (vector**2).sum(1)
-    for axis in range(3):
-        matrix[:, axis, axis] += diagonal
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrix[:, i, j] += 2.0 * scalar * vector[:, k]
-        matrix[:, j, i] -= 2.0 * scalar * vector[:, k]
-    return np.asarray(matrix)
-
-
 def settle(
     samples: Samples, carry: Carry, layout: Layout, sampling: Sampling, final: bool
 ) -> tuple[Rows, Carry]:
@@ -538,7 +173,7 @@ def _columns(
     counted = Counted(now, carry.done_until_s)
     fired = _impulses(counted, *known, carry, sampling)
     pairs, weight = pairs_of(counted, layout, sampling)
-    added = _cut_columns(pairs, weight, layout, sampling)
+    added = cut_columns(pairs, weight, layout, sampling)
     cuts = carry.cuts + np.concatenate([np.zeros((1, len(carry.cuts))), np.cumsum(added, axis=0)])
     gathered = replace(carry, fired=fired[-1], cuts=cuts[-1], pairs=(*carry.pairs, pairs))
     new = time > carry.done_until_s
@@ -587,48 +222,6 @@ def _columns(
     )
     pulses = context.pulses_at(context.time_s) if layout.thrusters else np.empty((n, 0))
     return Rows(time[keep], vector, scalar, pulses, body), after
-
-
-def cosines(time_s: Array, duration_s: float, count: int) -> Array:
-    """The cosines cos(m π t/T), m = 0 … M − 1, at times (n,): (n, M)."""
-    return np.asarray(np.cos(np.pi / duration_s * time_s[:, None] * np.arange(count)))
-
-
-def walk_scales(duration_s: float, cosines: int) -> Array:
-    """Standard deviations (1 + cosines,) of the mean and the cosines of a unit random walk, s^½.
-
-    Momentum gained from white torque noise of density a² has a mean of variance a² T/3 and cosine
-    coefficients of variance 2 a² T/(m π)² (Karhunen-Loève expansion of a random walk about its
-    mean).
-    """
-    order = np.arange(1, 1 + cosines)
-    return np.asarray(np.sqrt(duration_s) * np.r_[1.0 / np.sqrt(3.0), np.sqrt(2.0) / order / np.pi])
-
-
-def walk_columns(time_s: Array, since_start: Array, duration_s: float, count: int) -> Array:
-    """R e_j [cos(mπt/T) − 1] (n, 3, 3 M), M cosines; ``since_start`` (n, 3, 3) are the R e_j."""
-    gained = cosines(time_s, duration_s, 1 + count)[:, 1:] - 1.0
-    columns = gained[:, None, :, None] * since_start[:, :, None, :]
-    return np.asarray(columns.reshape(len(time_s), 3, 3 * count))
-
-
-class Counted:
-    """Counter intervals of a stretch of telemetry in which something fired, after a time."""
-
-    def __init__(self, samples: Samples, after_s: float) -> None:
-        counted = samples.has_counters
-        self.time_s = samples.time_s[counted]
-        self.total_on_time = samples.on_time_s[counted]
-        self.total_pulses = samples.pulses[counted]
-        self.on_time = np.diff(self.total_on_time, axis=0)
-        self.pulses = np.diff(self.total_pulses, axis=0)
-        changed = np.any((self.on_time != 0) | (self.pulses != 0), axis=1)
-        self.active = np.flatnonzero(changed & (self.time_s[1:] > after_s))
-
-    def events_before(self, time: Array) -> NDArray[np.intp]:
-        """How many of the active intervals have ended by each time."""
-        ends = self.time_s[self.active + 1] if len(self.active) else np.empty(0)
-        return np.searchsorted(ends, time + SAME_S, side="right")
 
 
 def _attitudes(
@@ -702,84 +295,6 @@ def _impulses(
     mean = 0.5 * (attitude[nearest[active]] + attitude[nearest[active + 1]])
     steps = increments[..., None, None] * np.swapaxes(mean, 1, 2)[:, None, None]
     return np.concatenate([carry.fired[None], carry.fired + np.cumsum(steps, axis=0)])
-
-
-def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
-    """Pairs (m, G) within each of some counter intervals, and across the reading before it.
-
-    Counters show neither which pairs were a control cycle apart nor what share. The share depends
-    on the controller and is inferred (docs/topics/telemetry-likelihood.md §7). The more pulses an
-    interval has, the closer they are.
-
-    Parameters
-    ----------
-    length_s
-        (m,) of the intervals.
-    pulses
-        (m, G) that every couple began in them.
-    before
-        (m, G) that it fired in the intervals before them, one at least where it fired.
-    """
-    alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
-    within = np.minimum(alike * np.maximum(0.5 * pulses, 1.0), MOST_ALIKE)
-    across = np.minimum(pulses * before, MOST_ACROSS)
-    return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * ACROSS * across)
-
-
-def pairs_of(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs, Array]:
-    """Pairs of the active intervals of a stretch of telemetry, which begins with an idle one.
-
-    Returns also how many there are (m, G), each by what it loses.
-    """
-    active = counted.active
-    groups = [list(couple) for couple in layout.couples]
-    pulses = np.zeros((len(counted.pulses), len(groups)))
-    fired = np.zeros((len(counted.pulses), len(groups)), dtype=bool)
-    for g, members in enumerate(groups):
-        pulses[:, g] = counted.pulses[:, members].max(axis=1, initial=0.0)
-        on_time = counted.on_time[:, members].max(axis=1, initial=0.0)
-        fired[:, g] = (pulses[:, g] > 0.0) | (on_time > 0.0)
-    fired_of = np.maximum(pulses, fired)
-    before = np.concatenate([np.zeros_like(fired_of[:1]), fired_of[:-1]])
-    scatter, slopes, width = (of_all[active] for of_all in _of_firings(counted, layout, sampling))
-    pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active])
-    lose = sampling.cut_by_width(width)
-    end_s, own = counted.time_s[active + 1], fired[active]
-    return Pairs(end_s, own, pairs * lose**2, scatter, slopes), pairs * lose
-
-
-def _of_firings(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Array, Array, Array]:
-    """What unlike pulses of a firing scatter (m, G, C, C), where it ends, slopes (m, G, C), widths.
-
-    Widths (m, G), s, are means over the pulses of a firing, 0 without one.
-    """
-    slopes = np.zeros((len(counted.pulses), len(layout.couples), len(PULSE_COLUMNS)))
-    scatter, width = np.zeros((*slopes.shape, len(PULSE_COLUMNS))), np.zeros(slopes.shape[:2])
-    for g, members in enumerate(map(list, layout.couples)):
-        gained, begun = (
-            of_all[:, members].max(axis=1) for of_all in (counted.on_time, counted.pulses)
-        )
-        own = firings(gained, begun)
-        ends = own.active[np.diff(own.number, append=len(own.pulses)) > 0]
-        mean = own.seconds / own.pulses
-        scatter[ends, g] = sampling.pulses.scatter(mean, own.pulses)
-        slopes[own.active, g] = sampling.pulses.slopes(mean, own.pulses)[own.number]
-        width[own.active, g] = np.maximum(mean, 0.0)[own.number]
-    return scatter, slopes, width
-
-
-def _cut_columns(pairs: Pairs, weight: Array, layout: Layout, sampling: Sampling) -> Array:
-    """What every active interval adds to the columns of cut tails, (m, S)."""
-    m, part = len(pairs.end_s), quarter_of(pairs.end_s, sampling.duration_s)
-    table = np.zeros((m, len(layout.couples), CUT_COLUMNS))
-    table[:, :, 0] = weight
-    table[np.arange(m), :, 1 + part] = pairs.steps(sampling.pair_s2)
-    return table.reshape(m, CUT_COLUMNS * len(layout.couples))
-
-
-def quarter_of(time_s: Array, duration_s: float) -> NDArray[np.intp]:
-    """Part of the event (m,) that times lie in."""
-    return np.clip((CUT_PARTS * time_s / duration_s).astype(np.intp), 0, CUT_PARTS - 1)
 
 
 def effective_increments(

@@ -17,27 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics.channel_noise import NOT_SEEN, ChannelNoise
-from cassini_bayes.balance.statistics.columns import (
-    Carry,
-    Counted,
-    Layout,
-    Pairs,
-    Rows,
-    Sampling,
-    pairs_of,
-    quarter_of,
-    settle,
-    walk_cosines,
-)
+from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
+from cassini_bayes.balance.statistics.layout import Layout
 from cassini_bayes.balance.statistics.long_levels import (
     NO_LEVELS,
     KnownLevels,
     LongLevels,
     longest,
 )
+from cassini_bayes.balance.statistics.pairs import Counted, Pairs, pairs_of, quarter_of
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
+from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.turns import (
     LEAST_PIECE,
     SLOPE_WAVES,
@@ -46,6 +38,7 @@ from cassini_bayes.balance.statistics.turns import (
     piece_ends,
     turned,
 )
+from cassini_bayes.balance.statistics.walk import walk_cosines
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays

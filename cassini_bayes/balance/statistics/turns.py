@@ -25,14 +25,11 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.columns import (
-    Layout,
-    Rows,
-    Sampling,
-    cosines,
-    walk_scales,
-)
+from cassini_bayes.balance.statistics.columns import Rows
+from cassini_bayes.balance.statistics.layout import Layout
 from cassini_bayes.balance.statistics.rows import SAME_S
+from cassini_bayes.balance.statistics.sampling import Sampling
+from cassini_bayes.balance.statistics.walk import cosines, walk_scales
 from cassini_bayes.computing.arrays import Array, Flags, Places
 from cassini_bayes.computing.cached import cached_property
 
