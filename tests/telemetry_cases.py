@@ -23,9 +23,9 @@ from cassini_bayes.balance.statistics import (
     layout_of,
     reduce_chunks,
 )
+from cassini_bayes.balance.statistics.first_look import Preparation
 from cassini_bayes.balance.statistics.long_levels import LEAST_RATIO
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
-from cassini_bayes.balance.statistics.reduction import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of

@@ -22,7 +22,7 @@ from cassini_bayes.balance.band_products import BandProducts
 from cassini_bayes.balance.open_counters import short_levels, step_patterns
 from cassini_bayes.balance.rounded_wheels import HARMONICS, ShownRows, WheelSquares, wheel_squares
 from cassini_bayes.balance.statistics import EventStatistics
-from cassini_bayes.balance.statistics.reduction import TurnStatistics
+from cassini_bayes.balance.statistics.event_statistics import TurnStatistics
 from cassini_bayes.balance.statistics.turns import slope_weights
 from cassini_bayes.balance.statistics.walk import cosines, walk_cosines, walk_scales
 from cassini_bayes.computing.arrays import Array

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cassini_bayes.balance.statistics.event_statistics import CounterStatistics
 from cassini_bayes.balance.statistics.layout import CUT_PARTS
 from cassini_bayes.balance.statistics.long_levels import level_patterns, places_of
 from cassini_bayes.balance.statistics.pairs import quarter_of
-from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.balance.statistics.sampling import LostTails
 from cassini_bayes.computing.arrays import Array, Places
 

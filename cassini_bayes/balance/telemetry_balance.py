@@ -34,10 +34,9 @@ from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.rounded_wheels import HARMONICS, WheelSquares
 from cassini_bayes.balance.statistics import EventStatistics, Layout, Sampling
 from cassini_bayes.balance.statistics.late import LatePulses, late_pulses
-from cassini_bayes.balance.statistics.layout import CUT_COLUMNS
+from cassini_bayes.balance.statistics.layout import CUT_COLUMNS, couple_of
 from cassini_bayes.balance.statistics.pairs import quarter_of
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
-from cassini_bayes.balance.statistics.reduction import couple_of
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.statistics import reduce_chunks
-from cassini_bayes.balance.statistics.reduction import Preparation
+from cassini_bayes.balance.statistics.first_look import Preparation
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.toml_file import read_toml

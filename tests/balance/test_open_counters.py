@@ -12,12 +12,12 @@ from cassini_bayes.balance.open_counters import (
     step_patterns,
     step_variances,
 )
+from cassini_bayes.balance.statistics.event_statistics import CounterStatistics
 from cassini_bayes.balance.statistics.long_levels import (
     NO_LEVELS,
     level_patterns,
 )
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
-from cassini_bayes.balance.statistics.reduction import CounterStatistics
 from cassini_bayes.balance.statistics.sampling import LostTails, Sampling, lost_tails
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES

@@ -13,22 +13,18 @@ from telemetry_cases import made_up_samples, reduced, telemetry_priors
 from cassini_bayes.balance.statistics import (
     Carry,
     Samples,
+    counter_reduction,
     layout_of,
     load_statistics,
     reduce_chunks,
-    reduction,
     save_statistics,
     settle,
 )
 from cassini_bayes.balance.statistics.columns import effective_increments
+from cassini_bayes.balance.statistics.event_statistics import CounterStatistics
+from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
+from cassini_bayes.balance.statistics.inner_products import MODES, local_waves
 from cassini_bayes.balance.statistics.pairs import quarter_of
-from cassini_bayes.balance.statistics.reduction import (
-    MODES,
-    CounterStatistics,
-    LateRows,
-    Preparation,
-    local_waves,
-)
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
@@ -222,7 +218,7 @@ def test_joined_intervals_stay_in_their_quarter(monkeypatch: pytest.MonkeyPatch)
     """Where many intervals are told apart as few, sums over a quarter stay what they were."""
     samples = made_up_samples(np.random.default_rng(6), 400)
     every, sampling = reduced(samples, telemetry_priors())
-    monkeypatch.setattr(reduction, "MOST_STEPS", 9)
+    monkeypatch.setattr(counter_reduction, "MOST_STEPS", 9)
     few, _ = reduced(samples, telemetry_priors())
     assert every.counters.fired.sum(axis=0).max() > 4 * few.counters.fired.sum(axis=0).max()
     assert few.counters.steps.any()
@@ -249,7 +245,7 @@ def test_intervals_are_joined_by_couple(monkeypatch: pytest.MonkeyPatch) -> None
     every, _ = reduced(samples, telemetry_priors())
     most = int(every.counters.fired.sum(axis=0).max())
     assert len(every.counters.end_s) > most
-    monkeypatch.setattr(reduction, "MOST_STEPS", most)
+    monkeypatch.setattr(counter_reduction, "MOST_STEPS", most)
     same, _ = reduced(samples, telemetry_priors())
     for field in fields(CounterStatistics):
         one, other = (getattr(each.counters, field.name) for each in (every, same))

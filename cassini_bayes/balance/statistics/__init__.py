@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from cassini_bayes.balance.statistics.archive import load_statistics, save_statistics
 from cassini_bayes.balance.statistics.columns import Carry, settle
+from cassini_bayes.balance.statistics.event_statistics import EventStatistics
 from cassini_bayes.balance.statistics.layout import Layout, layout_of
 from cassini_bayes.balance.statistics.preparation import BLOCK_S
-from cassini_bayes.balance.statistics.reduction import (
-    EventStatistics,
-    load_statistics,
-    reduce_chunks,
-    save_statistics,
-)
+from cassini_bayes.balance.statistics.reduction import reduce_chunks
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.sampling import ExtraColumn, RowContext, Sampling
 

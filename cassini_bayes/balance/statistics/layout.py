@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.walk import walk_cosines
@@ -126,3 +129,16 @@ def layout_of(wheels: Sequence[int], thrusters: Sequence[str], sampling: Samplin
     """The columns of an event with these wheels and thrusters."""
     count = walk_cosines(sampling.duration_s)
     return Layout(tuple(wheels), tuple(thrusters), sampling.couples, count)
+
+
+def couple_of(place: int, layout: Layout) -> int:
+    """Number of the couple that a thruster belongs to."""
+    return next(g for g, couple in enumerate(layout.couples) if place in couple)
+
+
+def couples_from(numbers: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
+    """Couples from the number of each thruster's couple: the inverse of :func:`couple_of`."""
+    return tuple(
+        tuple(int(place) for place in np.flatnonzero(numbers == g))
+        for g in range(int(numbers.max(initial=-1)) + 1)
+    )

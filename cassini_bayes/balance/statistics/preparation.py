@@ -19,15 +19,11 @@ from cassini_bayes.balance.statistics.counters import (
     delivered_pulses,
     firings,
 )
-from cassini_bayes.balance.statistics.reduction import (
-    COARSE_STEP_S,
-    ChannelSteps,
-    LateRows,
-    Preparation,
-    Thinned,
-)
+from cassini_bayes.balance.statistics.event_statistics import COARSE_STEP_S, ChannelSteps
+from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
 from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples, quiet_rows
+from cassini_bayes.balance.statistics.thinned import Thinned
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
