@@ -35,11 +35,11 @@ def levels_of(end_s: Array, fired: Array) -> KnownLevels:
 def test_the_longest_levels_are_found() -> None:
     """A couple that fires at 3, 7, 13 and 31 s of 80: what it shows from 31 s on lasts 49 s.
 
-    Roots of 3, 4, 6, 18 and 49 s have the median 2.4 s^½, and twice that is reached by one. A
-    couple that never fires has one level from the beginning, which is no rounding but a constant.
+    Roots of 3, 4, 6, 18 and 49 s have the median 2.4 s^½, and twice that is reached by one. The
+    other couple never fires: what it shows all the time is no rounding but a constant.
     """
     end_s = np.array([3.0, 7.0, 13.0, 31.0])
-    found = longest(levels_of(end_s, np.ones((4, 1), dtype=bool)), 80.0)
+    found = longest(levels_of(end_s, np.array([[True, False]] * 4)), 80.0)
     assert found.couples == (0,)
     assert found.begin_s == pytest.approx([31.0])
     values = found.at(np.array([0.0, 12.0, 31.0, 50.0]))[:, 0]

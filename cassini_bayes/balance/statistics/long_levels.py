@@ -122,11 +122,17 @@ def level_patterns(levels: Levels, couple: int, step: Array, always: Array) -> A
 
 
 def longest(levels: Levels, duration_s: float) -> LongLevels:
-    """Those of all couples that leave most in an event of so many seconds."""
+    """Those of all couples that leave most in an event of so many seconds.
+
+    A couple that never fires has none: what its counter shows is a constant, and brings nothing.
+    """
     ends, couples = levels.end_s, levels.fired.shape[1]
     step = np.tri(len(ends) + 1, len(ends), -1)  # in what lies between the firings
     length = np.diff(np.r_[0.0, np.clip(ends, 0.0, duration_s), duration_s])[:, None]
-    found = [level_patterns(levels, g, step, np.ones((len(step), 1)))[:, 0] for g in range(couples)]
+    found = [
+        level_patterns(levels, g, step, np.ones((len(step), 1)))[:, 0] * levels.fired[:, g].any()
+        for g in range(couples)
+    ]
     size = [np.sqrt((length * own**2).sum(axis=0)) for own in found]
     every = np.concatenate(size) if size else np.zeros(0)
     if not every.any():
