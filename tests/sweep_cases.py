@@ -15,6 +15,7 @@ from cassini_bayes.model import log_posterior
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.results.fitting import ALL_MET
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit
 from cassini_bayes.sampling.warmstart import warm_start
@@ -153,4 +154,5 @@ def small_fit(draws: int = 1_000) -> tuple[Factory, Fit]:
     z = warm.draws.resample(rng, 4 * draws)
     shaped = z.reshape(4, draws, -1)
     values = density(z).reshape(4, draws)
-    return factory, build_fit(model, shaped, values, rng, {"walkers": 1}, 2_000)
+    said = {"walkers": 1, "stop_rule": ALL_MET}
+    return factory, build_fit(model, shaped, values, rng, said, 2_000)

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -251,3 +252,18 @@ def test_the_section_replaces_an_earlier_one() -> None:
     assert "first" in once
     assert twice == once.replace("first", "second")
     assert with_section("<main><p>old</p></main>", "NEW") == "<main><p>old</p>NEW</main>"
+
+
+def test_a_sweep_of_a_fit_that_has_not_converged_ends_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As what else is made of such a fit does; its tables are there all the same."""
+    write_run(tmp_path, small_table())
+    (tmp_path / "small").mkdir()
+    fit = small_fit()[1]
+    worse = replace(fit, attributes={**fit.attributes, "stop_rule": "R-hat 1.08"})
+    save_fit(worse, tmp_path / "small" / "fit.nc")
+    assert sweep(tmp_path, write_spec(tmp_path), "--jobs", "1", "--json", "--no-report") == 1
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["converged"] is False
+    assert "not converged: " in shown.err
