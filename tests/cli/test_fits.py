@@ -50,7 +50,9 @@ def test_a_sweep_accepts_what_its_run_accepted(
 
     def execute(run: RunFile, *_: object, **__: object) -> SimpleNamespace:
         given.append(run)
-        return SimpleNamespace(folder=tmp_path, findings=("accepted (wheel-order)",))
+        return SimpleNamespace(
+            folder=tmp_path, findings=("accepted (wheel-order)",), converged=True
+        )
 
     monkeypatch.setattr("cassini_bayes.pipeline.by_file.execute_sweep", execute)
     run_file = str(run_cases.write_run(tmp_path))

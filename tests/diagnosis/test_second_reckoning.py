@@ -1,7 +1,13 @@
-"""Second reckonings: what is there keeps its gains, what roundings make up has none."""
+"""Second reckonings: what is there keeps its gains, what roundings make up has none.
+
+The likelihood has the longest roundings as unknowns, and these flights need no second reckoning any
+more. It is shown where all of them are noise of bands, as short ones are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cassini_bayes.balance.statistics import counter_reduction
+from cassini_bayes.balance.statistics.long_levels import NO_LEVELS
 from cassini_bayes.computing.log import silent
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
@@ -70,20 +78,30 @@ def over_conditions(seed: int) -> Blind:
     return Blind(scenario, ROOT / "priors", seed, (), OVER_CONDITIONS, over_conditions=True)
 
 
+@contextmanager
+def roundings(*, all_of_bands: bool) -> Iterator[None]:
+    """Reductions in which no rounding is an unknown, or the usual ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        if all_of_bands:
+            patch.setattr(counter_reduction, "longest", lambda *_: NO_LEVELS)
+        yield
+
+
 @cache
-def flown(*hidden: str) -> tuple[Events, Weighed[Hypothesis]]:
-    """That flight, with what is hidden, and its baseline."""
+def flown(*hidden: str, of_bands: bool = False) -> tuple[Events, Weighed[Hypothesis]]:
+    """That flight, with what is hidden, and its baseline; all roundings as noise ``of_bands``."""
     campaign = over_conditions(SEED)
     effects = [Hidden(name, SIZES[name], float("nan")) for name in hidden]
-    events = campaign.scene(campaign.stream(TRIAL)).fly(effects)
+    with roundings(all_of_bands=of_bands):
+        events = campaign.scene(campaign.stream(TRIAL)).fly(effects)
     none = compact(none_hypothesis(events))
     mode = highest_mode(none.log_density, none.model.starts)
     return events, Weighed(none, mode, mode.log_evidence)
 
 
-def weighed(name: str, *hidden: str) -> Weighed[Hypothesis]:
+def weighed(name: str, *hidden: str, of_bands: bool = False) -> Weighed[Hypothesis]:
     """A cause at its mode."""
-    events, none = flown(*hidden)
+    events, none = flown(*hidden, of_bands=of_bands)
     cause = compact(extend(none_hypothesis(events), [events.catalogue.effect(name)]))
     mode = with_whole_curvature(cause, search_from_starts(cause, none.mode).mode)
     return Weighed(cause, mode, mode.log_evidence)
@@ -97,9 +115,13 @@ def by_bands(none: Weighed[Hypothesis], cause: Weighed[Hypothesis]) -> float:
 
 @usual_drive
 def test_what_roundings_make_up_is_no_cause() -> None:
-    """Nothing hidden, and longer pulses lead by 19 nats: by levels they are worse than none."""
-    _, none = flown()
-    cause = weighed("pulse_shape")
+    """Nothing hidden, and longer pulses lead by 19 nats: by levels they are worse than none.
+
+    With the longest roundings as unknowns they lead by less than one.
+    """
+    assert by_bands(flown()[1], weighed("pulse_shape")) < 3.0
+    _, none = flown(of_bands=True)
+    cause = weighed("pulse_shape", of_bands=True)
     assert by_bands(none, cause) > 15.0
     assert gain_by_levels(none.hypothesis, cause) < 0.0
     before, after = reckoned_again([none, cause], BELIEVED)
@@ -181,7 +203,9 @@ def baseline_and_unknown(events: Events) -> tuple[Weighed[Hypothesis], Weighed[H
 
 
 @cache
-def wandering(torque_noise: float) -> tuple[Events, Weighed[Hypothesis], Weighed[Hypothesis]]:
+def wandering(
+    torque_noise: float, *, of_bands: bool = False
+) -> tuple[Events, Weighed[Hypothesis], Weighed[Hypothesis]]:
     """A bias with few levels, its torque wandering by so much (N m s^½); ``none``, ``unknown``."""
     seed, trial = FEW_LEVELS
     campaign = over_conditions(seed)
@@ -192,7 +216,8 @@ def wandering(torque_noise: float) -> tuple[Events, Weighed[Hypothesis], Weighed
         "torque_noise": torque_noise > 0.0,
         "truth": {**scene.document["truth"], "torque_noise_n_m_s05": torque_noise},
     }
-    events = replace(scene, document=document).fly(())
+    with roundings(all_of_bands=of_bands):
+        events = replace(scene, document=document).fly(())
     return events, *baseline_and_unknown(events)
 
 
@@ -202,8 +227,13 @@ def about_mode(none: Weighed[Hypothesis]) -> float:
 
 
 def test_what_few_roundings_make_up_is_no_torque_that_wanders() -> None:
-    """Nothing hidden, and ``unknown`` leads by 25 nats: by levels it gains next to nothing."""
+    """Nothing hidden, and ``unknown`` leads by 25 nats: by levels it gains next to nothing.
+
+    With the longest roundings as unknowns it leads by less than one.
+    """
     _, none, unknown = wandering(0.0)
+    assert unknown.net_evidence - none.net_evidence < 3.0
+    _, none, unknown = wandering(0.0, of_bands=True)
     assert unknown.net_evidence - none.net_evidence > 20.0
     after = unknown_again(unknown, none, BELIEVED)
     assert -3.0 < after.net_evidence - none.net_evidence < 3.0
@@ -233,9 +263,9 @@ def test_what_the_baseline_took_up_counts_beside_the_mode_of_unknown() -> None:
 @usual_drive
 def test_causes_are_reckoned_again_where_unknown_leads() -> None:
     """``unknown`` that stays ahead does not keep what roundings make up for a cause behind it."""
-    _, none = flown()
-    cause = weighed("pulse_shape")
-    unknown = compact(unknown_hypothesis(flown()[0]))
+    events, none = flown(of_bands=True)
+    cause = weighed("pulse_shape", of_bands=True)
+    unknown = compact(unknown_hypothesis(events))
     ahead = replace(none, hypothesis=unknown, log_evidence=cause.log_evidence + 50.0)
     told = reckoned_again([none, ahead, cause], BELIEVED, unknown_too=False)
     assert told[1] is ahead
@@ -244,7 +274,7 @@ def test_causes_are_reckoned_again_where_unknown_leads() -> None:
 
 def test_behind_the_baseline_nothing_is_reckoned_again() -> None:
     """As in most flights."""
-    _, none, unknown = wandering(0.0)
+    _, none, unknown = wandering(0.0, of_bands=True)
     behind = replace(unknown, log_evidence=none.log_evidence - 1.0)
     assert reckoned_again([none, behind], BELIEVED)[1] is behind
     seen = reckoned_again([none, unknown], BELIEVED, unknown_too=False)
@@ -259,12 +289,12 @@ def test_a_diagnosis_does_not_say_unknown_for_few_roundings() -> None:
     assert max(ranked, key=lambda own: own.score).name == "none"
 
 
-def pushed(*hidden: str) -> tuple[Weighed[Hypothesis], ...]:
+def pushed(*hidden: str, of_bands: bool = False) -> tuple[Weighed[Hypothesis], ...]:
     """That flight: none, a torque and a leak as causes, and unknown behind all."""
-    events, none = flown(*hidden)
+    events, none = flown(*hidden, of_bands=of_bands)
     unknown = compact(unknown_hypothesis(events))
     behind = Mode(np.zeros(unknown.dimension), np.eye(unknown.dimension), none.log_evidence - 9.0)
-    causes = (weighed(name, *hidden) for name in (STEADY, LEAK))
+    causes = (weighed(name, *hidden, of_bands=of_bands) for name in (STEADY, LEAK))
     return (none, *causes, Weighed(unknown, behind, behind.log_evidence))
 
 
@@ -283,8 +313,13 @@ def test_columns_know_a_cause_and_nothing_where_there_is_none(hidden: tuple[str,
 
 @usual_drive
 def test_a_torque_that_rounding_hides_is_no_lever() -> None:
-    """What columns know as a steady torque has a name, though the likelihood cannot tell it."""
-    none, torque, leak, unknown = pushed(STEADY)
+    """What columns know as a steady torque has a name, though the likelihood cannot tell it.
+
+    With the longest roundings as unknowns the likelihood tells it, too.
+    """
+    now, named, *_ = pushed(STEADY)
+    assert named.score - now.score > 20.0
+    none, torque, leak, unknown = pushed(STEADY, of_bands=True)
     limits = standard().unknown
     assert thruster_forms(none, limits)[LEVER] > 10.0
     assert torque.score - none.score < 5.0

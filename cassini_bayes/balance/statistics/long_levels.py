@@ -21,8 +21,8 @@ from cassini_bayes.balance.statistics.rounded_counters import read_levels
 from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Flags, Places
 
-MOST: Final = 24  # in an event: a call of the likelihood takes half as long again
-LONG: Final = 2.0  # times the usual root of what a level leaves, squared and summed over time
+MOST: Final = 40  # in an event: a call of the likelihood takes twice as long
+LONG: Final = 1.5  # times the usual root of what a level leaves, squared and summed over time
 LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
 
