@@ -555,8 +555,15 @@ def _of_cut_columns(statistics: EventStatistics, cuts: Sequence[int]) -> tuple[A
 def _level_slopes(statistics: EventStatistics) -> Array:
     """What pulse columns gain per on-time (L, C) for couples of long roundings, over the first."""
     counters = statistics.counters
-    mean = [counters.slopes[counters.fired[:, g], g].mean(axis=0) for g in statistics.layout.levels]
-    return np.array([own / own[0] for own in mean]).reshape(-1, len(PULSE_COLUMNS))
+
+    def of_couple(g: int) -> Array:
+        own = counters.slopes[counters.fired[:, g], g]
+        if len(own) == 0:  # all that it fired was before the first attitude
+            return np.eye(1, len(PULSE_COLUMNS))[0]
+        return np.asarray(own.mean(axis=0) / own[:, 0].mean())
+
+    each = [of_couple(g) for g in statistics.layout.levels]
+    return np.array(each).reshape(-1, len(PULSE_COLUMNS))
 
 
 def _owned(layout: Layout, thruster: str) -> dict[str, int]:
