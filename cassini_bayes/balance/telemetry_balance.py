@@ -559,7 +559,7 @@ def _level_slopes(statistics: EventStatistics) -> Array:
     def of_couple(g: int) -> Array:
         own = counters.slopes[counters.fired[:, g], g]
         if len(own) == 0:  # all that it fired was before the first attitude
-            return np.eye(1, len(PULSE_COLUMNS))[0]
+            return np.asarray(np.eye(1, len(PULSE_COLUMNS))[0])
         return np.asarray(own.mean(axis=0) / own[:, 0].mean())
 
     each = [of_couple(g) for g in statistics.layout.levels]
