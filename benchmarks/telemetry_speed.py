@@ -26,7 +26,7 @@ from speed.peers import PEERS, peer_row
 from speed.problem import ROOT, event_folders, reduced_events
 
 from cassini_bayes import __version__
-from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.computing.arrays import joined
 from cassini_bayes.files.storage import write_text
 
 Row = dict[str, Any]
@@ -135,7 +135,7 @@ def peer_part(
 def samples_part(folders: list[Path], quick: bool) -> list[Row]:
     """Time of a likelihood call against the number of samples."""
     event = reduced_events(folders[:1])[0]
-    samples = Samples.joined(tuple(event.rows))
+    samples = joined(tuple(event.rows))
     counts = [1_000, 10_000] if quick else [1_000, 10_000, 100_000, 1_000_000]
     return own.sample_growth(event, samples, counts, 3 if quick else 41)
 

@@ -26,7 +26,7 @@ from cassini_bayes.balance.statistics import (
 from cassini_bayes.balance.statistics.first_look import Preparation
 from cassini_bayes.balance.statistics.long_levels import LEAST_RATIO
 from cassini_bayes.balance.statistics.pulse_columns import WIDTHS_S
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.model import Model, ReducedEvent, build_model, reduce_samples
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -564,7 +564,7 @@ def plain_log_likelihood(model: Model, parameters: Mapping[str, float]) -> float
     open_ = PlainOpen.of(values)
     tau = (values["tau_delay_s"], values["tau_rise_s"], values["tau_fall_s"])
     for term in model.telemetry:
-        samples = Samples.joined(list(term.event.rows))
+        samples = joined(list(term.event.rows))
         fires = samples.on_time_s.shape[1] > 0
         sampling = term.event.sampling
         rows = plain_rows(samples, sampling, arms if fires else np.zeros((3, 0)), tau)
@@ -705,7 +705,7 @@ def _flat_measure(
     Noise levels are the priors' medians, what counters leave open is that of the prior means; the
     initial momentum takes up a constant.
     """
-    samples = Samples.joined(list(term.event.rows))
+    samples = joined(list(term.event.rows))
     fires, n = samples.on_time_s.shape[1] > 0, len(rows.times)
     fixed = dict(values) | reference_noise(term)
     means, one = nominal_of(model), np.eye(3)
@@ -760,7 +760,7 @@ def joint_of_slews(model: Model, parameters: Mapping[str, float]) -> tuple[float
     """
     (term,) = model.telemetry
     values = dict(model.idle) | dict(parameters)
-    samples = Samples.joined(list(term.event.rows))
+    samples = joined(list(term.event.rows))
     rows = plain_rows(samples, term.event.sampling, np.zeros((3, 0)), (0.0, 0.0, 0.0))
     turns = plain_turns(rows, term.event.sampling)
     spin = np.mean([_spin(h) for h in _nominal_momenta(model, rows)], axis=0)

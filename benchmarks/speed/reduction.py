@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from cassini_bayes.balance.statistics import Samples, reduce_chunks
+from cassini_bayes.computing.arrays import joined
 from cassini_bayes.events.telemetry import read_chunks, read_event
 from cassini_bayes.model.event_reduction import reduce_event
 from speed.problem import PULSE_SHAPE, priors_of, reduced_events
@@ -31,7 +32,7 @@ def reduce_row(folder: Path, rows: int) -> Row:
 
 def _reduce(folder: Path, rows: int) -> Row:
     event = reduced_events([folder])[0]
-    samples = Samples.joined(tuple(event.rows))
+    samples = joined(tuple(event.rows))
     per_chunk = CHUNK // len(samples)
     usable = Samples(*(_tiled(samples, per_chunk)))
     passes = max(round(rows / len(usable)), 1)

@@ -27,7 +27,7 @@ from cassini_bayes.balance.measured_delta_v import (
 )
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import Samples, Sampling
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.errors import InputError
 
 LEAST_READINGS: Final = 2  # the constant takes one
@@ -71,7 +71,7 @@ def accelerometer_statistics(
         Fewer than two stretches of counts at which no thruster was delivering.
     """
     stretches = list(parts)
-    samples = Samples.joined([part for part, _ in stretches])
+    samples = joined([part for part, _ in stretches])
     counts = np.concatenate([values for _, values in stretches])
     rows = rows_at_rest(samples, np.isfinite(counts), sampling.guard_s)
     columns = on_time_columns(samples, rows, sampling)

@@ -20,7 +20,7 @@ from cassini_bayes.balance.statistics import Samples, Sampling
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
 from cassini_bayes.balance.statistics.rows import quiet_rows
-from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.arrays import Array, Flags, Places, joined
 from cassini_bayes.errors import InputError
 
 OFFSET_SD_M_S: Final = 0.1  # of the counter's zero: flat against noise of mm/s
@@ -64,7 +64,7 @@ def delta_v_statistics(
         Fewer than two rows with ΔV at which no thruster was delivering.
     """
     stretches = list(parts)
-    samples = Samples.joined([part for part, _ in stretches])
+    samples = joined([part for part, _ in stretches])
     measured = np.concatenate([values for _, values in stretches])
     rows = rows_at_rest(samples, np.isfinite(measured).all(1), sampling.guard_s)
     if len(rows) < LEAST_ROWS:

@@ -70,7 +70,7 @@ def short_levels(counters: CounterStatistics, couple: int, step: Array, always: 
 
     Arguments and result as of :func:`.long_levels.level_patterns`.
     """
-    patterns = level_patterns(counters, couple, step, always)
+    patterns = level_patterns(counters.levels, couple, step, always)
     own = counters.level_couple == couple
     ends = counters.end_s[counters.fired[:, couple]]
     patterns[:, :, places_of(counters.level_begin_s[own], ends)] = 0.0

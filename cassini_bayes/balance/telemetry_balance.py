@@ -48,13 +48,13 @@ INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
 class EventUnknowns:
     """Places of one telemetry event's unknowns: K thrusts, then the event's own.
 
-    Its own are the initial momentum (3), the steady torque (3) and the S cut tails (of a part of
-    the event, unlike pulses as well); after all of them the normal equations have the measured
-    momentum. ``first`` is the place of the first one.
+    Its own are the initial momentum (3), the steady torque (3) and what counters hide: cut tails
+    (of a part of the event, unlike pulses as well) and long roundings; after all of them the normal
+    equations have the measured momentum. ``first`` is the place of the first one.
     """
 
     thrusters: int
-    cuts: int
+    hides: int
     first: int = 0
 
     @property
@@ -75,7 +75,7 @@ class EventUnknowns:
     @property
     def tails(self) -> slice:
         """The cut tails, and what else counters hide."""
-        return slice(self.torque.stop, self.torque.stop + self.cuts)
+        return slice(self.torque.stop, self.torque.stop + self.hides)
 
     @property
     def own(self) -> slice:
@@ -89,7 +89,7 @@ class EventUnknowns:
 
     def at(self, first: int) -> EventUnknowns:
         """The event's own unknowns alone, from another place on."""
-        return EventUnknowns(0, self.cuts, first)
+        return EventUnknowns(0, self.hides, first)
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,10 @@ class Pattern:
     def hidden(self) -> int:
         """Unknowns that counters hide, S + L: cut tails and unlike pulses, long roundings."""
         return len(self.members)
+
+    def level_units(self, pulse_weights: Array) -> Array:
+        """What pulses gain (n, L) per on-time of a long rounding, of weights (n, C) of columns."""
+        return np.asarray(pulse_weights @ self.level_slopes.T)
 
     @property
     def owner(self) -> Places:

@@ -177,4 +177,4 @@ def hidden_unit_s(event: TelemetryBalance, scales: OpenScales) -> Array:
     variance = scales.variance_s2(pattern.cut_pairs, pattern.cut_unlike)
     of_part = np.sqrt(variance) / event.statistics.cuts[places]
     of_cuts = np.where(places % CUT_COLUMNS == 0, of_all, of_part)
-    return np.concatenate([of_cuts, scales.pulse_weights @ pattern.level_slopes.T], axis=1)
+    return np.concatenate([of_cuts, event.pattern.level_units(scales.pulse_weights)], axis=1)

@@ -60,7 +60,7 @@ def single_cuts(hypothesis: Hypothesis, z: Array, place: int) -> tuple[Array, Ar
         variances += [np.maximum(variance, _LEAST), np.ones(levels.shape[2])]
     if lacking > 0.0:  # the longest roundings are in the model already, with that factor
         long = counters.long_levels
-        gained = scales.pulse_weights[0] @ term.balance.pattern.level_slopes.T
+        gained = term.balance.pattern.level_units(scales.pulse_weights)[0]
         torques = scales.torque_n_m[0][:, long.couple] * gained * np.sqrt(lacking)
         columns.append(long.at(time_s)[:, None] * torques)
         variances.append(np.ones(len(long.couple)))

@@ -33,7 +33,7 @@ from cassini_bayes.balance.statistics import (
 )
 from cassini_bayes.balance.statistics.columns import Carry, Rows, settle
 from cassini_bayes.balance.statistics.preparation import Prepared, prepare
-from cassini_bayes.computing.arrays import Array, Places
+from cassini_bayes.computing.arrays import Array, Places, joined
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
@@ -143,7 +143,7 @@ class ReducedEvent:
     @cached_property
     def samples(self) -> Samples:
         """All rows at once."""
-        return Samples.joined(list(self.rows))
+        return joined(list(self.rows))
 
     @cached_property
     def usable_rows(self) -> Rows:

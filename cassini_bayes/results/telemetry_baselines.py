@@ -21,10 +21,9 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.balance.physics import Physics
-from cassini_bayes.balance.statistics import Samples
 from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.turning import direction_cosines
-from cassini_bayes.computing.arrays import Array, picked
+from cassini_bayes.computing.arrays import Array, joined, picked
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TelemetryTerm
@@ -70,7 +69,7 @@ def plain_rows(event: ReducedEvent) -> PlainRows:
         kept = rows[(-done) % every :: every]
         done += len(rows)
         parts.append(picked(samples, kept))
-    rows_of = Samples.joined(parts)
+    rows_of = joined(parts)
     return PlainRows(
         rows_of.time_s,
         direction_cosines(rows_of.attitude),

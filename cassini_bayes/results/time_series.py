@@ -25,7 +25,7 @@ from cassini_bayes.balance.statistics.walk import cosines, walk_scales
 from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance, open_scales
 from cassini_bayes.balance.telemetry_weights import balance_weights
-from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.arrays import Array, Flags, Places, joined
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm, unknowns_of
@@ -185,7 +185,7 @@ def _rows(term: TelemetryTerm, most_rows: int) -> tuple[Rows, int]:
         rows, carry = settle(samples, carry, statistics.layout, term.event.sampling, final)
         parts.append(rows.part(slice((-done) % every, None, every)))
         done += len(rows.time_s)
-    return Rows.joined(parts), every
+    return joined(parts), every
 
 
 def _both_sides(

@@ -187,7 +187,8 @@ def test_tails_of_pulses_that_readings_cut_are_not_credited_before_they_come() -
         late = np.tile((ages == 0.0).sum(axis=1)[:, None], (1, 8))
         late[-1] = 0
         wanted = pulses - late if longer == 0 else pulses
-        assert np.array_equal(found.pulses, wanted[np.searchsorted(time, found.counter_time_s)])
+        read = np.searchsorted(time, found.found.read_s)
+        assert np.array_equal(found.found.pulses, wanted[read])
 
 
 def test_more_pulses_are_closer() -> None:

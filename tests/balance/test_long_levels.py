@@ -12,7 +12,7 @@ from cassini_bayes.balance.open_counters import short_levels
 from cassini_bayes.balance.statistics.counters import counter_step
 from cassini_bayes.balance.statistics.long_levels import (
     NO_LEVELS,
-    KnownLevels,
+    Levels,
     level_patterns,
     longest,
 )
@@ -23,13 +23,13 @@ STEP_S = 1e-2
 SIGMA_S = STEP_S / np.sqrt(12.0)
 
 
-def levels_of(end_s: Array, fired: Array) -> KnownLevels:
+def levels_of(end_s: Array, fired: Array) -> Levels:
     """Couples of long pulses of unlike widths, that fired at these times."""
     couples = fired.shape[1]
     slopes = np.ones((*fired.shape, 1)) * np.eye(1, 4)
     ratio = np.full(fired.shape, np.inf)
     square, every = np.full(couples, SIGMA_S**2), np.ones(couples)
-    return KnownLevels(end_s, fired, slopes, square, ratio, every)
+    return Levels(end_s, fired, slopes, square, ratio, every)
 
 
 def test_the_longest_levels_are_found() -> None:

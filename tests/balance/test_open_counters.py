@@ -125,7 +125,7 @@ def test_rounding_leaves_no_variance_below_zero() -> None:
 
 def test_a_rounding_lasts_until_the_next_firing() -> None:
     """Five levels of 2 ms, which add up to a constant."""
-    found = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))
+    found = level_patterns(counters([0.0] * 4).levels, 0, STEP, np.ones((len(TIME), 1)))
     assert not found[:, 1:].any()
     found = found[:, 0]
     assert found.sum(axis=1) == pytest.approx(np.full(len(TIME), 2e-3))
@@ -141,8 +141,8 @@ def test_levels_bound_by_alike_widths_have_the_stated_covariance(
     """Patterns squared are σ² (1 + Dᵀ Q⁻¹ D)⁻¹ seen in the rows, with ones for readings in use."""
     ratio = np.array([0.3, 0.3, 5.0, 0.01])
     bound = replace(counters([0.0] * 4), open_ratio=ratio[:, None], open_every=np.array([every]))
-    free = level_patterns(counters([0.0] * 4), 0, STEP, np.ones((len(TIME), 1)))[:, 0]
-    found = level_patterns(bound, 0, STEP, np.ones((len(TIME), 1)))[:, 0]
+    free = level_patterns(counters([0.0] * 4).levels, 0, STEP, np.ones((len(TIME), 1)))[:, 0]
+    found = level_patterns(bound.levels, 0, STEP, np.ones((len(TIME), 1)))[:, 0]
     apart = np.diff(np.eye(5), axis=0)
     covariance = np.linalg.inv(np.diag(seen) + apart.T @ (apart / ratio[:, None]))
     np.testing.assert_allclose(found @ found.T, free @ covariance @ free.T, atol=1e-18)
@@ -181,7 +181,7 @@ def test_errors_of_short_pulses_are_taken_back_as_far_as_slopes_are_alike(spread
         open_ratio=np.full((firings, 1), np.inf),
     )
     step = (ends[:, None] >= ends).astype(float)
-    patterns = level_patterns(known, 0, step, np.ones((firings, 1)))[:, 0]
+    patterns = level_patterns(known.levels, 0, step, np.ones((firings, 1)))[:, 0]
     gained = slopes[:, 0, 0] - 1.0
     independent = step * gained * step_s / np.sqrt(6.0)
     for waves in (slice(0, 3), slice(3, 20), slice(20, 49)):

@@ -26,6 +26,7 @@ from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
 from cassini_bayes.balance.statistics.inner_products import MODES, local_waves
 from cassini_bayes.balance.statistics.pairs import quarter_of
 from cassini_bayes.balance.statistics.rows import quiet_rows
+from cassini_bayes.computing.arrays import joined
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
@@ -82,7 +83,7 @@ def test_chunks_do_not_matter_where_rows_are_missing(how: str, chunks: int) -> N
 def test_chunks_do_not_matter_for_means_over_blocks(chunks: int) -> None:
     """A block that a gap has left few rows of is left out, whatever chunk it is in."""
     samples = made_up_samples(np.random.default_rng(chunks), 400, firing=0.3)
-    samples = Samples.joined([samples.part(0, 140), samples.part(185, 400)])
+    samples = joined([samples.part(0, 140), samples.part(185, 400)])
     found = Preparation(late=LateRows(32.0, 32.0, 0.1, (0.3,) * 8))
     whole, _ = reduced(samples, telemetry_priors(), prepared=found)
     cut, _ = reduced(samples, telemetry_priors(), chunks=chunks, prepared=found)
@@ -281,8 +282,8 @@ def test_ceaseless_firing_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPat
 def test_the_reduction_wants_samples_in_order() -> None:
     """Samples of several parts joined are the samples of the whole."""
     samples = made_up_samples(np.random.default_rng(7), 30)
-    joined = Samples.joined([samples.part(0, 10), samples.part(10)])
-    assert np.array_equal(joined.time_s, samples.time_s)
+    both = joined([samples.part(0, 10), samples.part(10)])
+    assert np.array_equal(both.time_s, samples.time_s)
 
 
 def test_reduction_of_nothing_is_refused() -> None:

@@ -15,7 +15,7 @@ import pytest
 from event_cases import events, priors, simulated
 from run_cases import B_BRANCH
 
-from cassini_bayes.balance.statistics import Samples
+from cassini_bayes.computing.arrays import joined
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import Chunk, event_from_frame, read_event
 from cassini_bayes.events.telemetry.tail import last_time
@@ -110,7 +110,7 @@ def test_rows_do_not_travel_with_an_event() -> None:
 def test_samples_in_memory_reduce_like_those_of_the_file() -> None:
     """The same rows, the same Gram matrices and counters gained, without a folder."""
     (event,) = events("bias")
-    samples = Samples.joined(list(event.rows))
+    samples = joined(list(event.rows))
     layout = event.statistics.layout
     again = reduce_samples("bias", "bias", layout.wheels, layout.thrusters, samples, event.sampling)
     assert again.statistics.gram == pytest.approx(event.statistics.gram, rel=1e-12)

@@ -15,8 +15,8 @@ thruster k. The effective on-time s depends on the pulse parameters, by the colu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from cassini_bayes.balance.statistics.rows import (
 from cassini_bayes.balance.statistics.sampling import RowContext, Sampling
 from cassini_bayes.balance.statistics.turning import direction_cosines, turned_into_body
 from cassini_bayes.balance.statistics.walk import walk_columns
-from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.arrays import Array, Flags, Places, joined, picked
 
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 
@@ -84,7 +84,7 @@ class Rows:
 
     def part(self, places: slice) -> Rows:
         """Some of the rows."""
-        return Rows(*(getattr(self, field.name)[places] for field in fields(self)))
+        return picked(self, places)
 
     def averaged(self, block: Array, usual: float) -> Rows:
         """Means over the blocks that rows (n,) are numbered by; time and attitude of the middle.
@@ -105,16 +105,6 @@ class Rows:
             self.time_s[middle], vector[full], scalar[full], pulses[full], self.cosines[middle]
         )
 
-    @staticmethod
-    def joined(parts: Sequence[Rows]) -> Rows:
-        """Several stretches of rows, one after the other."""
-        return Rows(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(Rows)
-            )
-        )
-
 
 def settle(
     samples: Samples, carry: Carry, layout: Layout, sampling: Sampling, final: bool
@@ -126,7 +116,7 @@ def settle(
     on where chunks end.
     """
     if carry.waiting is not None:
-        samples = Samples.joined([carry.waiting, samples])
+        samples = joined([carry.waiting, samples])
     complete = np.flatnonzero(samples.has_state)
     end = len(samples) - 1 if final else _settled(samples, complete)
     if len(samples) == 0 or samples.time_s[end] <= carry.done_until_s:
@@ -141,7 +131,7 @@ def settle(
     if sampling.block_s == 0.0:
         return rows, carry
     if carry.block is not None:
-        rows = Rows.joined([carry.block, rows])
+        rows = joined([carry.block, rows])
     of_block = np.floor((rows.time_s + SAME_S) / sampling.block_s)
     over = np.ones(len(of_block), dtype=bool) if final else of_block < of_block[-1:]
     rows, block = rows.part(slice(0, over.sum())), rows.part(slice(over.sum(), None))
@@ -170,7 +160,9 @@ def _columns(
     known = _attitudes(time, attitude, following, carry)
     if len(known[0]) == 0:  # what is fired before the first attitude is in the initial momentum
         return _no_rows(layout), carry
-    counted = Counted(now, carry.done_until_s)
+    read = now.has_counters
+    readings = now.time_s[read], now.on_time_s[read], now.pulses[read]
+    counted = Counted(*readings, carry.done_until_s)
     fired = _impulses(counted, *known, carry, sampling)
     pairs, weight = pairs_of(counted, layout, sampling)
     added = cut_columns(pairs, weight, layout, sampling)
@@ -228,12 +220,10 @@ def _attitudes(
     time: Array, attitude: Array, following: tuple[Array, Array], carry: Carry
 ) -> tuple[Array, Array]:
     """Times (n,) and attitudes (n, 3, 3) of a stretch, with one before and one after it."""
-    times, attitudes = [time, following[0]], [attitude, following[1]]
-    begins = np.concatenate(times)[:1]
-    if carry.last_attitude is not None and not (begins <= carry.last_time_s).any():
-        times.insert(0, np.array([carry.last_time_s]))
-        attitudes.insert(0, carry.last_attitude[None])
-    return np.concatenate(times), np.concatenate(attitudes)
+    times, attitudes = np.r_[time, following[0]], np.concatenate([attitude, following[1]])
+    if carry.last_attitude is None or np.any(times[:1] <= carry.last_time_s):
+        return times, attitudes
+    return np.r_[carry.last_time_s, times], np.concatenate([carry.last_attitude[None], attitudes])
 
 
 def _settled(samples: Samples, complete: Places) -> int:
@@ -244,14 +234,14 @@ def _settled(samples: Samples, complete: Places) -> int:
     """
     if samples.on_time_s.shape[1] == 0:
         return len(samples) - 1
-    if len(samples) >= MOST_WAITING:
-        complete = np.array([len(samples)])
+    waits = len(samples) < MOST_WAITING
+    last = complete.max(initial=-1) if waits else len(samples)
     counted = np.flatnonzero(samples.has_counters)
     values = np.concatenate([samples.on_time_s[counted], samples.pulses[counted]], axis=1)
     same = np.flatnonzero(~np.any(np.diff(values, axis=0) != 0, axis=1))
-    same = same[counted[same] <= complete.max(initial=-1)]
+    same = same[counted[same] <= last]
     if len(same) == 0:
-        return 0 if len(samples) < MOST_WAITING else len(samples) - 1
+        return 0 if waits else len(samples) - 1
     return int(counted[same[-1]])
 
 

@@ -12,13 +12,13 @@ from cassini_bayes.balance.statistics.first_look import Preparation
 from cassini_bayes.balance.statistics.layout import Layout
 from cassini_bayes.balance.statistics.long_levels import (
     NO_LEVELS,
-    KnownLevels,
+    Levels,
     LongLevels,
     longest,
 )
 from cassini_bayes.balance.statistics.pairs import Counted, Pairs, pairs_of, quarter_of
 from cassini_bayes.balance.statistics.rounded_counters import KNOWN, Rounding
-from cassini_bayes.balance.statistics.rows import SAME_S, Samples
+from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.thinned import Thinned
 from cassini_bayes.computing.arrays import Array
@@ -32,14 +32,15 @@ def long_levels_of(prepared: Preparation, layout: Layout, sampling: Sampling) ->
     coarse = any(one.step_s > COARSE_STEP_S for one in prepared.rounding)
     if not coarse or sampling.block_s > 0.0 or len(prepared.on_time_s) == 0:
         return NO_LEVELS
-    nothing = np.full((len(prepared.read_s), 4), np.nan)
-    samples = Samples(
-        prepared.read_s, nothing, nothing[:, :3], nothing[:, :1], prepared.on_time_s,
-        prepared.pulses,
-    )  # fmt: skip
-    pairs, _ = pairs_of(Counted(samples, -np.inf), layout, sampling)
+    counted = Counted(prepared.read_s, prepared.on_time_s, prepared.pulses, -np.inf)
+    pairs, _ = pairs_of(counted, layout, sampling)
+    return longest(_levels(pairs, prepared, layout), sampling.duration_s)
+
+
+def _levels(pairs: Pairs, prepared: Preparation, layout: Layout) -> Levels:
+    """What a first look says of the levels between some intervals with firings."""
     by_couple = _by_couple(prepared.rounding, layout)
-    known = KnownLevels(
+    return Levels(
         pairs.end_s,
         pairs.fired,
         pairs.slopes,
@@ -47,7 +48,6 @@ def long_levels_of(prepared: Preparation, layout: Layout, sampling: Sampling) ->
         _open_ratios(by_couple, prepared.read_s, pairs.end_s),
         np.array([one.every for one in by_couple]),
     )
-    return longest(known, sampling.duration_s)
 
 
 def counter_statistics(
@@ -59,9 +59,8 @@ def counter_statistics(
     averaged: float,
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
-    by_couple, late = _by_couple(prepared.rounding, layout), prepared.late
-    steps = pairs.steps(sampling.pair_s2)
-    ratio = _open_ratios(by_couple, prepared.read_s, pairs.end_s)
+    late, levels = prepared.late, _levels(pairs, prepared, layout)
+    steps, ratio = pairs.steps(sampling.pair_s2), levels.open_ratio
     rows = max(len(times.values) * times.stride, 1)
     most = min(MOST_STEPS, STEPS_BY_ROW * rows)
     whole = frozenset(sampling.levels.couples)
@@ -75,9 +74,9 @@ def counter_statistics(
         pairs.unlike,
         steps,
         pairs.slopes,
-        np.array([one.variance_s2 for one in by_couple]),
+        levels.open_s2,
         ratio,
-        np.array([one.every for one in by_couple]),
+        levels.open_every,
         np.array(sampling.gaps_s),
         np.array(sampling.paired_s),
         np.array(sampling.widths_s),
@@ -88,10 +87,10 @@ def counter_statistics(
         late.width_s,
         np.array([max((late.rate_hz[k] for k in own), default=0.0) for own in layout.couples])
         if late.rate_hz
-        else np.zeros(len(by_couple)),
+        else np.zeros(len(layout.couples)),
         late.first_s,
         late.every_s,
-        max((one.step_s for one in by_couple), default=0.0),
+        max((one.step_s for one in _by_couple(prepared.rounding, layout)), default=0.0),
         sampling.levels.couple,
         sampling.levels.begin_s,
         sampling.levels.end_s,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics.channel_noise import ChannelNoise
 from cassini_bayes.balance.statistics.layout import Layout
-from cassini_bayes.balance.statistics.long_levels import LongLevels
+from cassini_bayes.balance.statistics.long_levels import Levels, LongLevels
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.computing.arrays import Array, Places
 
@@ -123,6 +123,13 @@ class CounterStatistics:
     def are_coarse(self) -> bool:
         """Whether what counters leave open is so much that its size matters."""
         return self.step_s > COARSE_STEP_S
+
+    @property
+    def levels(self) -> Levels:
+        """What counters leave open between firings, long or short."""
+        return Levels(
+            self.end_s, self.fired, self.slopes, self.open_s2, self.open_ratio, self.open_every
+        )
 
     @property
     def long_levels(self) -> LongLevels:

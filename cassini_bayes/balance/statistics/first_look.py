@@ -39,7 +39,8 @@ class Preparation:
     noise: ChannelNoise = NOT_SEEN
     read_s: Array = field(default_factory=lambda: np.zeros(0))  # (m,) readings around changes
     on_time_s: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, K) expected there
-    pulses: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (m, K) counted there
+    # (m, K) pulses whose on-time is counted there
+    pulses: Array = field(default_factory=lambda: np.zeros((0, 0)))
     rounding: tuple[Rounding, ...] = ()  # (K,) of the thrusters' counters, between these
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     paired_s: tuple[float, ...] = ()  # widths of pulses that may be close

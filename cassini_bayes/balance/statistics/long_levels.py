@@ -11,10 +11,9 @@ own, and the bands have those that are left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solve_banded
 
 from cassini_bayes.balance.statistics.rounded_counters import read_levels
@@ -26,37 +25,15 @@ LONG: Final = 1.5  # times the usual root of what a level leaves, squared and su
 LEAST_RATIO: Final = 1e-6  # of widths all alike: what stays open is one constant
 
 
-class Levels(Protocol):
-    """What counters leave open between firings: of :class:`.CounterStatistics`, or known before."""
-
-    @property
-    def end_s(self) -> Array:
-        """Ends (R,) of the intervals with firings."""
-
-    @property
-    def fired(self) -> NDArray[np.bool_]:
-        """Which couples fired in them, (R, G)."""
-
-    @property
-    def slopes(self) -> Array:
-        """What pulse columns gain per on-time, (R, G, C)."""
-
-    @property
-    def open_s2(self) -> Array:
-        """σ² (G,) of :class:`.Rounding`, by couple."""
-
-    @property
-    def open_ratio(self) -> Array:
-        """Its Q, (R, G)."""
-
-    @property
-    def open_every(self) -> Array:
-        """About every so many-th level is read, (G,)."""
-
-
 @dataclass(frozen=True, eq=False)
-class KnownLevels:
-    """:class:`Levels` of a first look at the counters."""
+class Levels:
+    """What counters leave open between firings.
+
+    ``end_s`` (R,) are the ends of the intervals with firings, ``fired`` (R, G) tells which couples
+    fired in them, ``slopes`` (R, G, C) what pulse columns gain per on-time. ``open_s2`` (G,) are σ²
+    of :class:`.Rounding`, ``open_ratio`` (R, G) its Q, and about every ``open_every``-th (G,) level
+    is read.
+    """
 
     end_s: Array
     fired: Flags

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.layout import CUT_COLUMNS, CUT_PARTS, Layout
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
-from cassini_bayes.balance.statistics.rows import SAME_S, Samples
+from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.balance.statistics.sampling import ALIKE_S, Sampling
 from cassini_bayes.computing.arrays import Array
 
@@ -44,25 +43,12 @@ class Pairs:
         """Variance (m, G) of what intervals gain beyond what is expected, over that of a pair."""
         return np.asarray(self.square + self.unlike[..., 0, 0] / pair_s2)
 
-    @staticmethod
-    def joined(parts: Sequence[Pairs]) -> Pairs:
-        """Several stretches, one after the other."""
-        return Pairs(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(Pairs)
-            )
-        )
-
 
 class Counted:
-    """Counter intervals of a stretch of telemetry in which something fired, after a time."""
+    """Counter intervals between readings (m,) and (m, K) in which something fired, after a time."""
 
-    def __init__(self, samples: Samples, after_s: float) -> None:
-        counted = samples.has_counters
-        self.time_s = samples.time_s[counted]
-        self.total_on_time = samples.on_time_s[counted]
-        self.total_pulses = samples.pulses[counted]
+    def __init__(self, time_s: Array, on_time_s: Array, pulses: Array, after_s: float) -> None:
+        self.time_s, self.total_on_time, self.total_pulses = time_s, on_time_s, pulses
         self.on_time = np.diff(self.total_on_time, axis=0)
         self.pulses = np.diff(self.total_pulses, axis=0)
         changed = np.any((self.on_time != 0) | (self.pulses != 0), axis=1)

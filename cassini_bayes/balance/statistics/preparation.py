@@ -24,7 +24,7 @@ from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
 from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples, quiet_rows
 from cassini_bayes.balance.statistics.thinned import Thinned
-from cassini_bayes.computing.arrays import Array
+from cassini_bayes.computing.arrays import Array, joined
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
@@ -48,31 +48,24 @@ _SAME: Final = 1e-3  # of a step, that a printed multiple may be off
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a first look found, and the telemetry with it.
-
-    ``counter_time_s`` (m,), ``on_time_s`` and ``pulses`` (m, K) are expected on-times, and pulses
-    whose on-time is counted, at the readings around every change. ``end_s`` is the time of the last
-    row.
-    """
+    """What a first look found, and the telemetry with it; ``end_s`` is the time of its last row."""
 
     found: Preparation
-    counter_time_s: Array
-    on_time_s: Array
-    pulses: Array
     end_s: float
 
     def samples(self, chunks: Iterable[Samples]) -> Iterator[Samples]:
-        """The same telemetry with these in the place of what was read."""
+        """The same telemetry with expected counters in the place of what was read."""
+        found = self.found
         for chunk in chunks:
-            if len(self.counter_time_s) == 0 or chunk.on_time_s.shape[1] == 0:
+            if len(found.read_s) == 0 or chunk.on_time_s.shape[1] == 0:
                 yield chunk
                 continue
-            place = np.searchsorted(self.counter_time_s, chunk.time_s + SAME_S, side="right") - 1
+            place = np.searchsorted(found.read_s, chunk.time_s + SAME_S, side="right") - 1
             place, read = np.maximum(place, 0), np.isfinite(chunk.on_time_s)
             yield replace(
                 chunk,
-                on_time_s=np.where(read, self.on_time_s[place], chunk.on_time_s),
-                pulses=np.where(read, self.pulses[place], chunk.pulses),
+                on_time_s=np.where(read, found.on_time_s[place], chunk.on_time_s),
+                pulses=np.where(read, found.pulses[place], chunk.pulses),
             )
 
 
@@ -99,7 +92,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         if looked < LOOKED_AT:
             first.append(chunk)
             looked += len(chunk)
-    seen = Samples.joined(first)
+    seen = joined(first)
     rows = seen.part(0, LOOKED_AT).complete
     steps = ChannelSteps(
         channel_step(seen.rate_rad_s),
@@ -108,7 +101,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     time, on_time, pulses = readings.around_changes()
     if len(time) == 0:
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
-        return Prepared(Preparation(steps, noise), time, on_time, pulses, end_s)
+        return Prepared(Preparation(steps, noise), end_s)
     step_s = counter_step(on_time, pulses)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
     singles = single_widths(on_time, on_time, pulses)
@@ -142,7 +135,7 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         pulses = delivered_pulses(on_time, pulses, step_s)
     on_times = (time, expected.on_time_s, pulses)
     found = Preparation(steps, noise, *on_times, expected.rounding, gaps, paired, widths, late)
-    return Prepared(found, time, expected.on_time_s, pulses, end_s)
+    return Prepared(found, end_s)
 
 
 def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:

@@ -25,12 +25,12 @@ from cassini_bayes.balance.statistics.inner_products import (
     mixed_by_axes,
 )
 from cassini_bayes.balance.statistics.layout import Layout
-from cassini_bayes.balance.statistics.pairs import Pairs
 from cassini_bayes.balance.statistics.rounded_counters import Rounding
 from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.thinned import Thinned
 from cassini_bayes.balance.statistics.turn_reduction import GatheredTurns
+from cassini_bayes.computing.arrays import joined
 from cassini_bayes.errors import InputError
 
 BLOCK_ROWS: Final = 4_096  # some 10 MB of columns at a time
@@ -116,7 +116,7 @@ def reduce_chunks(
         counter_interval_s=interval,
         turns=turns.statistics(),
         counters=counter_statistics(
-            Pairs.joined(carry.pairs), times, sampling, prepared, layout, averaged
+            joined(carry.pairs), times, sampling, prepared, layout, averaged
         ),
         steps=prepared.steps,
         noise=prepared.noise,

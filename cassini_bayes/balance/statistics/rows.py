@@ -8,13 +8,12 @@ read at or after it are the same (``docs/topics/telemetry-likelihood.md`` §4).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.computing.arrays import Array, Flags, Places, picked
 
 SAME_S: Final = 1e-6  # times closer than this are the same
 
@@ -39,23 +38,12 @@ class Samples:
 
     def part(self, start: int, stop: int | None = None) -> Samples:
         """Rows ``start`` to ``stop``."""
-        return Samples(*(getattr(self, field.name)[start:stop] for field in fields(self)))
-
-    @staticmethod
-    def joined(parts: Sequence[Samples]) -> Samples:
-        """Several stretches of the same telemetry, one after the other."""
-        return Samples(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(Samples)
-            )
-        )
+        return picked(self, slice(start, stop))
 
     @property
     def complete(self) -> Samples:
         """Rows with attitude, body rates and wheel rates."""
-        kept = self.has_state
-        return Samples(*(getattr(self, field.name)[kept] for field in fields(self)))
+        return picked(self, self.has_state)
 
     @property
     def has_counters(self) -> Flags:

@@ -18,6 +18,7 @@ from cassini_bayes.balance.statistics.turns import (
     piece_ends,
     turned,
 )
+from cassini_bayes.computing.arrays import joined
 
 
 class GatheredTurns:
@@ -38,7 +39,7 @@ class GatheredTurns:
 
     def add(self, rows: Rows) -> None:
         """Take more rows; those of a piece that may go on wait."""
-        rows = Rows.joined([*self._waiting, rows])
+        rows = joined([*self._waiting, rows])
         self._waiting = [rows]
         if len(rows.time_s) > LEAST_PIECE:
             self._work_up(is_last=False)

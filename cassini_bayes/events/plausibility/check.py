@@ -138,8 +138,10 @@ class TelemetryCheck:
         evidence = Evidence(self._nominal, motion, rows)
         misfit = evidence.misfit() if motion is not None or rows is not None else np.nan
         for with_fewer in (without_cut_pulses, between_firings):
-            if misfit > SUSPECT and (left := with_fewer(evidence).misfit()) <= SUSPECT:
-                evidence, misfit = with_fewer(evidence), left
+            if misfit > SUSPECT:
+                fewer = with_fewer(evidence)
+                if (left := fewer.misfit()) <= SUSPECT:
+                    evidence, misfit = fewer, left
         if misfit > SUSPECT:
             evidence = with_swing(evidence)
             misfit = evidence.misfit()
