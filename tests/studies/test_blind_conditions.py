@@ -25,6 +25,7 @@ from cassini_bayes.studies.blind.flights import Blind, Hidden, Scene
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import Classifier, sizes_of
 from cassini_bayes.studies.blind.rates import CLEAR, WITHOUT_DECLINED, rates
+from cassini_bayes.studies.blind.shift import changed_size, held
 from cassini_bayes.studies.blind.sizes import (
     SEEN_AT,
     Growth,
@@ -175,6 +176,28 @@ def test_late_records_show_nothing_up_to_a_control_cycle_and_then_much() -> None
     assert max(below, still) < 1.0
     assert above > 7.0
     assert 0.06 * sensitivity(events, on.base, path, SEEN_AT["time_offset"]) > 1.5
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_factor_of_thrusts_has_the_size_that_simulations_show(factor: float) -> None:
+    """By what it adds to rows; control: the curvature there, where thrusts scatter by the factor.
+
+    The simulated change is of flights without noise, and knows rows alone.
+    """
+    finest = {"rates": "ten times finer", "counter_step": "1 ms"}
+    scene = scene_of(events="one bias", cadence="1 s", controller="hysteresis", **finest)
+    events = scene.fly(())
+    on = stage(scene, events, baseline(events))
+    path = Growth(events.catalogue.effect("thrust_scale"), {"thrust_factor": factor - 1.0}, {})
+    hidden = measured(on, path, 1.0)
+    assert hidden is not None
+    simulated = changed_size(on.view(hidden), on.plain)
+    assert hidden.sigma == pytest.approx(simulated, rel=0.25)
+    flown = scene.fly((hidden,))
+    with_it = compact(held(none_hypothesis(flown), path.effect, path.values(1.0)))
+    near = find_mode(with_it.log_density, with_it.dimension)
+    curved = sensitivity(flown, near, path, 1.0) / hidden.sigma
+    assert curved > 1.4 if factor < 1.0 else curved < 0.95
 
 
 def sigma_of(oracle: Classifier, name: str, size: np.ndarray) -> float:

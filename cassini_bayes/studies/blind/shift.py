@@ -23,7 +23,8 @@ from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
-from cassini_bayes.diagnosis.innovations import linearise
+from cassini_bayes.diagnosis.innovations import effect_momentum, innovations, linearise
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.priors.parameter_space import ParameterSpace
@@ -132,6 +133,17 @@ def modelled_size(view: View, effect: Effect, values: Mapping[str, float]) -> fl
     after = _in_momentum(other.target, other, tuple(factors))
     change = [b - a for a, b in zip(before, after, strict=True)]
     return float(np.sqrt(squared_size(view.linear, _whitened(change, view.factors))))
+
+
+def added_size(none: Hypothesis, with_it: Hypothesis, z: Array) -> float:
+    """σ by what an effect at fixed values adds to rows and turns at a point z (d,) of both.
+
+    ``with_it`` is :func:`held`. V has a column for everything that records leave open, and the
+    baseline's prior about z.
+    """
+    added = effect_momentum(none, z, [(with_it, np.zeros((1, 0)))])
+    told = BesideMode.of(none, z, innovations(none, z)).information(added)
+    return float(np.sqrt(told.matrix[0, 0]))
 
 
 def _in_momentum(white: Array, linear: Linear, factors: tuple[Array, ...]) -> list[Array]:

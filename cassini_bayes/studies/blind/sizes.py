@@ -18,6 +18,7 @@ from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import Mode, highest_mode, mode_near
+from cassini_bayes.diagnosis.second_reckoning import acts_on_pulses
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.line_shapes import SIZES
 from cassini_bayes.effects.oscillation import FASTEST
@@ -28,6 +29,7 @@ from cassini_bayes.studies.blind.oscillations import hidden_line, hidden_oscilla
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS
 from cassini_bayes.studies.blind.shift import (
     View,
+    added_size,
     at_truth,
     changed_size,
     held,
@@ -200,15 +202,23 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
 def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
     """σ on the flight that has the effect at size s.
 
-    Under conditions the curvature of the marginal likelihood is δᵀV⁻¹δ with all that conditions
-    change in V: what coarse counters leave open, and what attitudes tell of rates that are coarser.
-    Late records have no such curvature: they show nothing up to a control cycle, and then much.
+    Under conditions V has all that they change: what coarse counters leave open, and what attitudes
+    tell of rates that are coarser. What acts on pulses is measured by what it adds to rows and
+    turns, where V is a linear model's. It bends what is not known: 0.7 of a thrust has 0.7 of its
+    scatter, so that the curvature there would be too large by 1.4. Body, wheels and gyro make the
+    channels that the linear model smooths, and have the curvature of the marginal likelihood. Late
+    records have neither: they show nothing up to a control cycle, and then much.
     """
     if path.effect.kind.name == "time_offset":
         return changed_size(stage.view(hidden), stage.plain)
-    if stage.scene.condition is not None:
-        return s * _flown_sensitivity(stage, stage.scene.fly((hidden,)), path, s)
-    return modelled_size(stage.view(hidden), path.effect, path.values(s))
+    if stage.scene.condition is None:
+        return modelled_size(stage.view(hidden), path.effect, path.values(s))
+    events = stage.scene.fly((hidden,))
+    with_it, near = _flown_with(stage, events, path, s)
+    none = compact(none_hypothesis(events))
+    if acts_on_pulses(none, with_it, near.point):
+        return added_size(none, with_it, near.point)
+    return s * sensitivity(events, near, path, s)
 
 
 def sized_from_prior(stage: Stage, effect: Effect, rng: np.random.Generator) -> Hidden | None:
@@ -346,14 +356,13 @@ def _flexible(
     return search_size(at, min(1.0, largest), sigma, span, largest)
 
 
-def _flown_sensitivity(stage: Stage, events: Events, path: Growth, s: float) -> float:
-    """σ per unit of s at size s, on the flight that has it, about the mode there."""
+def _flown_with(stage: Stage, events: Events, path: Growth, s: float) -> tuple[Hypothesis, Mode]:
+    """The baseline with the effect at size s, on the flight that has it, and its mode there."""
     with_it = compact(held(none_hypothesis(events), path.effect, path.values(s)))
     if with_it.dimension == len(stage.base.point):
-        near = mode_near(with_it.log_density, stage.base.point, stage.base.factor)
-    else:  # controllers answer an effect: rows have late pulses in one of the flights alone
-        near = highest_mode(with_it.log_density, with_it.model.starts)
-    return sensitivity(events, near, path, s)
+        return with_it, mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    # controllers answer an effect: rows have late pulses in one of the flights alone
+    return with_it, highest_mode(with_it.log_density, with_it.model.starts)
 
 
 def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
@@ -363,7 +372,8 @@ def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
         events = stage.scene.fly((hidden,))
         settled = replace(effect, search_result=hidden_line(stage.scene, events, hidden))
         events = events.with_columns_of([settled])
-        return _flown_sensitivity(stage, events, Growth(settled, values, {}), 1.0)
+        path = Growth(settled, values, {})
+        return sensitivity(events, _flown_with(stage, events, path, 1.0)[1], path, 1.0)
     view = stage.view(hidden)
     settled = replace(effect, search_result=hidden_line(stage.scene, view.events, hidden))
     events = view.events.with_columns_of([settled])
