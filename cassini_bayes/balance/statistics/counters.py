@@ -69,7 +69,8 @@ def counter_step(on_time_s: Array, pulses: Array) -> float:
 def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
     """Whether some thruster's readings are one width times its pulses, and no other's are not.
 
-    One pulse may have been counted at a reading and not yet fired, or at the first one.
+    One pulse may have been counted at a reading and not yet fired, or at the first one; by the next
+    reading it has been. Pulses of less than a step that a rounding hides lack it for longer.
     """
     said = set()
     for gained, begun in zip((on_time_s - on_time_s[0]).T, (pulses - pulses[0]).T, strict=True):
@@ -79,7 +80,8 @@ def _have_one_width(on_time_s: Array, pulses: Array) -> bool:
         width = float(np.median(gained[begins] / begun[begins]))
         fired = np.round(gained / max(width, _SLACK))
         whole = np.abs(gained - fired * width) < _SLACK
-        said.add(bool(np.all(whole & (np.abs(fired - begun) <= 1.0))))
+        have_been = fired[1:] >= begun[:-1]
+        said.add(bool(np.all(whole & (np.abs(fired - begun) <= 1.0)) and np.all(have_been)))
     return said == {True}
 
 
