@@ -56,7 +56,7 @@ def read_events(
     result, findings = gather(references, known, source=source, policy=policy, processes=processes)
     telemetry = [event for event in result if isinstance(event, ReducedEvent)]
     rows = [event for event in result if isinstance(event, TotalsEvent)]
-    log(f"read {len(telemetry)} telemetry events and {len(rows)} totals rows")
+    log(f"read; telemetry events: {len(telemetry)}, totals rows: {len(rows)}")
     events = prepare(telemetry, known, rows, kinds)
     return replace(events, findings=(*findings, *events.findings))
 

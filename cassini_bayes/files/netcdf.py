@@ -22,6 +22,7 @@ from cassini_bayes.files.reading import open_file
 
 MOST_BYTES: Final = 4 << 30  # of one group in memory; compressed, a small file may declare any size
 _FIX: Final = "run the fit again, or restore the file"
+_OTHER: Final = "name a file that this package wrote, or restore this one if it is damaged"
 _SEAL: Final = b"\ncassini_bayes sha256 "
 # what HDF5 and the libraries above it raise about bytes that are no such file
 _DAMAGE: Final = (
@@ -60,6 +61,8 @@ def read_groups(
         or variable, or declares more than :data:`MOST_BYTES`.
     """
     is_sealed = _check_seal(path, what)
+    if not is_sealed and not h5py.is_hdf5(path):
+        raise InputError(str(path), what, "a file that is not NetCDF", _OTHER)
     try:
         if is_sealed:
             with h5py.File(path) as file:

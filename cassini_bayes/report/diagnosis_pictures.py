@@ -21,7 +21,12 @@ from cassini_bayes.report.plots.criticism import (
     innovation_figure,
     whiteness_figure,
 )
-from cassini_bayes.report.plots.overlays import overlay_figure, spectrum_figure, trade_figure
+from cassini_bayes.report.plots.overlays import (
+    overlay_figure,
+    percent,
+    spectrum_figure,
+    trade_figure,
+)
 
 CAPTIONS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -156,5 +161,5 @@ def _balance_pictures(detail: BalanceDetail) -> list[Drawing]:
 
 def _fit_words(name: str, before: float, after: float | None) -> str:
     if after is None:
-        return f"{name} fits to {before:.1f} %"
-    return f"{name} fits to {before:.1f} %, with the cause to {after:.1f} %"
+        return f"{name} fits to {percent(before, 1)} %"
+    return f"{name} fits to {percent(before, 1)} %, with the cause to {percent(after, 1)} %"

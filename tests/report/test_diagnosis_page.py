@@ -102,12 +102,14 @@ def test_overlay_and_trade_are_drawn_of_what_there_is() -> None:
     wave = wave - wave.mean()
     own = Channel("rate X", "mrad/s", wave, 0.9 * wave)
     both = Channel("wheel 1", "rpm", wave, 0.9 * wave, 0.99 * wave, 0.3 * wave)
-    figure = overlay_figure(Overlay("e", time, (own, both)))
+    still = Channel("wheel 2", "rpm", 0.1 * wave, wave, 0.1 * wave, 0.0 * wave)
+    figure = overlay_figure(Overlay("e", time, (own, both, still)))
     titles = [axes.get_title(loc="left") for axes in figure.axes]
     assert "rate X, fit 90.00 %" in titles
     assert "wheel 1, fit 90.00 → 99.00 %" in titles
+    assert "wheel 2, fit below 0 → 100.00 %" in titles
     shaded = [len(axes.collections) for axes in figure.axes]
-    assert sum(shaded) == 1
+    assert sum(shaded) == 2
     rng = np.random.default_rng(1)
     draws = rng.normal(size=(50, 2))
     drawn = trade_figure(Trade("c", "size", "thrust level of Z3", -0.7, draws, 3.0 * draws, "N"))

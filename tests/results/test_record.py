@@ -193,6 +193,8 @@ def test_other_files_are_refused(tmp_path: Path, fit: Fit) -> None:
             read_fit(tmp_path / name)
     with pytest.raises(InputError, match="no such file"):
         read_fit(tmp_path / "missing.nc")
+    with pytest.raises(InputError, match="not NetCDF; name a file that this package wrote"):
+        read_fit(tmp_path / "text.nc")
 
 
 def test_a_full_disk_keeps_the_old_file(

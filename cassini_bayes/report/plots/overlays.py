@@ -85,9 +85,13 @@ def _laid_over(panel: Axes, time_s: Array, channel: Channel) -> None:
     panel.plot(time_s[at], channel.baseline[at], label="baseline", **BASELINE_LINE)
     if channel.extended is not None:
         panel.plot(time_s[at], channel.extended[at], label="with the cause", **EXTENDED_LINE)
-    before, after = channel.fit
-    fit = f"{before:.2f} %" if after is None else f"{before:.2f} → {after:.2f} %"
-    panel.set_title(f"{channel.name}, fit {fit}".replace("-", "−"), loc="left")
+    fit = " → ".join(percent(value, 2) for value in channel.fit if value is not None)
+    panel.set_title(f"{channel.name}, fit {fit} %", loc="left")
+
+
+def percent(fit: float, digits: int) -> str:
+    """A fit of so many per cent; below 0 it says no more than that the channel hardly moves."""
+    return f"{fit:.{digits}f}" if fit >= 0.0 else "below 0"
 
 
 def _left(panel: Axes, time_s: Array, channel: Channel) -> None:

@@ -136,5 +136,6 @@ def comparison_figure(events: Sequence[OnTimePanel], units: Sequence[str]) -> Fi
             axes.set_xticks(place, [unit.replace("_", "–").upper() for unit in units])
             axes.set_ylim(-6.5, 4.5)
             axes.set_ylabel("on-time − flight [s]")
-        panels[0].legend(ncols=2, loc="lower left", fontsize=7)
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, ncols=len(names), loc="outside upper center")
     return figure
