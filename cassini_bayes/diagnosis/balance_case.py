@@ -366,7 +366,7 @@ class BalanceCase(Case[Hypothesis]):
         left = weighed.remainder
         if left is None:
             return None
-        return p_value(left.linear, [event.time_s for event in left.rows], rng)
+        return p_value(left.linear, left.target, [event.time_s for event in left.rows], rng)
 
     def show(
         self, baseline: Candidate, extended: Candidate, rng: np.random.Generator

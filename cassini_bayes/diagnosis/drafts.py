@@ -211,7 +211,7 @@ def drafted(events: Events, weighed: Weighed[Hypothesis]) -> tuple[Draft, ...]:
     else:
         full, point, left = baseline_at(events, weighed)
     thrusts = [thrust_columns(full, point, place) for place in range(len(left.rows))]
-    common = full.model.thrust_prior.common_mean_n
+    common = float(full.model.points(point[None]).common_n[0])
     return drafts_of(left.linear, left.rows, point, thrusts, common)
 
 

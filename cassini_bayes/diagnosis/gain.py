@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.balance.linearised import Linear, with_unknowns
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
@@ -35,6 +35,7 @@ from cassini_bayes.diagnosis.hypotheses import (
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, mode_from
 from cassini_bayes.diagnosis.onsets import without_event
+from cassini_bayes.diagnosis.rows_and_turns import torque_noise
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.effects.effect import Effect, onsets, settled_for
 from cassini_bayes.model.posterior import collapse, of_events
@@ -231,7 +232,7 @@ def held_out_telemetry(
             begins = tuple(str(effect.onset) for effect in way.whole.effects)
             centre = way.member.mode.point
             if begins not in known:
-                known[begins] = linearise(way.whole, centre)
+                known[begins] = with_drifts(way.whole, centre)
             linear, factors = known[begins]
             predicted.append((*predicted_rows(linear, place, -centre), factors[place]))
         white, spread, factor = averaged(ways, predicted)
@@ -240,6 +241,17 @@ def held_out_telemetry(
     together = np.concatenate(residuals)
     rmse = float(np.sqrt(together @ together / len(together)))
     return HeldOut(np.array(scores), rmse, float(np.concatenate(inside).mean()))
+
+
+def with_drifts(hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[Array]]:
+    """The linear model at z (d,) with columns of torque noise, and factors of the noise of rows."""
+    linear, factors = linearise(hypothesis, z)
+    density = float(hypothesis.model.points(z[None]).parameters["torque_noise_n_m_s05"][0])
+    walks = [
+        torque_noise(term.balance, term.event.usable_rows, density)
+        for term in hypothesis.model.telemetry
+    ]
+    return with_unknowns(linear, walks, factors), factors
 
 
 def averaged(
@@ -324,7 +336,7 @@ def predicted_balance(
     z = mode.point + rng.standard_normal((DRAWS, len(mode.point))) @ mode.factor.T
     prior = others.model.thrust_prior
     level = draw_thrusts(prior, collapse(others.model, z).thrusts, rng).level_n
-    points, term = whole.model.points(z), whole.model.totals_rows
+    points, term = whole.model.points(_in_whole(z, others, whole, rng)), whole.model.totals_rows
     system, factor = term.at(points).system, term.thrust_factor(points)
     if factor is not None:
         level = factor[:, place] * level
@@ -334,3 +346,17 @@ def predicted_balance(
     thrusts = design @ prior.departures
     spread = np.einsum("nii->ni", noise) + (thrusts**2).sum(-1)
     return residual.mean(0), np.sqrt(residual.var(0) + spread.mean(0))
+
+
+def _in_whole(z: Array, others: Hypothesis, whole: Hypothesis, rng: np.random.Generator) -> Array:
+    """Draws (n, d) of the others' model in the whole one's coordinates (n, d').
+
+    What the row that is held out brings alone, as the noise of the only ΔV, has its prior.
+    """
+    known, names = list(others.model.space.names), whole.model.space.names
+    if tuple(known) == tuple(names):
+        return z
+    result = rng.standard_normal((len(z), len(names)))
+    both = [place for place, name in enumerate(names) if name in known]
+    result[:, both] = z[:, [known.index(names[place]) for place in both]]
+    return result

@@ -105,8 +105,7 @@ def linearise(
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
     located = model.points(points)
-    thrust = model.thrust_prior.common_mean_n
-    levels = model.thrust_prior.shared
+    levels, loading = located.mean_levels_n, model.thrust_prior.shared
     targets, blocks, event_precision, factors = [], [], [], []
     for term in model.telemetry:
         terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
@@ -118,16 +117,17 @@ def linearise(
         k = terms.pattern.thrusters
         changed = term.thrust_factor(located) if k else None
         moved = np.ones((len(points), k)) if changed is None else changed[:, 0]
-        mean = np.concatenate([thrust * moved[0], terms.initial_mean_n_m_s, model.torque_mean_n_m])
+        thrust = levels[:, :k] * moved
+        mean = np.concatenate([thrust[0], terms.initial_mean_n_m_s, model.torque_mean_n_m])
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
         target = centre[:, :, -1] - unknown @ at
         slopes = _slopes(terms, smooth, weights[1 : 1 + d] - weights[1 + d :], at)
-        slopes += unknown[:, :, :k] @ (thrust * (moved[1 : 1 + d] - moved[1 + d :]).T)
+        slopes += unknown[:, :, :k] @ (thrust[1 : 1 + d] - thrust[1 + d :]).T
         slopes /= 2.0 * _STEP
         rest = unknown[:, :, k:]
         shared = (
-            np.concatenate([slopes, unknown[:, :, :k] @ (moved[0][:, None] * levels)], axis=2)
+            np.concatenate([slopes, unknown[:, :, :k] @ (moved[0][:, None] * loading)], axis=2)
             if k
             else slopes
         )
@@ -137,7 +137,7 @@ def linearise(
         event_precision.append(np.concatenate([np.ones(individual.shape[2]), sd**-2]))
         targets.append(target)
         factors.append(factor)
-    shared_width = d + (levels.shape[1] if levels.size else 0)
+    shared_width = d + (loading.shape[1] if loading.size else 0)
     return _stacked(targets, blocks, event_precision, factors, shared_width), factors
 
 
@@ -168,8 +168,9 @@ def effect_momentum(
     extended
         It with an effect more, and values (s, k) of that effect's coordinates; S is the sum of s.
     """
-    model, thrust = base.model, base.model.thrust_prior.common_mean_n
+    model = base.model
     located = model.points(z[None])
+    thrust = located.mean_levels_n[0]
     points = [
         hypothesis.model.points(np.column_stack([np.tile(z, (len(values), 1)), values]))
         for hypothesis, values in extended
@@ -183,8 +184,9 @@ def effect_momentum(
             with_effect = own.model.telemetry[place]
             weights.append(balance_weights(terms, with_effect.physics(at)))
             factor = with_effect.thrust_factor(at) if k else None
-            shifts.append(np.zeros((at.n, k)) if factor is None else thrust * (factor[:, 0] - 1.0))
-        mean = (np.full(k, thrust), terms.initial_mean_n_m_s, model.torque_mean_n_m)
+            none = np.zeros((at.n, k))
+            shifts.append(none if factor is None else thrust[:k] * (factor[:, 0] - 1.0))
+        mean = (thrust[:k], terms.initial_mean_n_m_s, model.torque_mean_n_m)
         added = _slopes(
             terms,
             smoothed(term.event.usable_rows, terms.statistics.layout),
@@ -250,7 +252,8 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
     linear, factors = linearise(hypothesis, z)
     opened = [unresolved(hypothesis, z, place) for place in range(len(events))]
     linear = with_unknowns(linear, opened, factors)
-    left = fitted_away(linear, linear.target)
+    target = linear.about_prior_mean(z)
+    left = fitted_away(linear, target)
     rows = []
     for event, part, factor in zip(events, linear.parts, factors, strict=True):
         usable = event.usable_rows
@@ -278,6 +281,7 @@ def innovations(hypothesis: Hypothesis, z: Array) -> Remainder:
         tuple(event.samples for event in events),
         tuple(rows),
         linear,
+        target,
         {name: float(np.ravel(value)[0]) for name, value in parameters.items()},
         partial(with_turns, hypothesis, z, linear, rows),
     )

@@ -125,11 +125,8 @@ def _gaussian(weighed: Weighed[Hypothesis]) -> _Gaussian:
     assert left is not None
     point = weighed.mode.point
     kept = len(point) + weighed.hypothesis.model.thrust_prior.shared.shape[-1]
-    pull = np.zeros(len(left.linear.precision))
-    pull[: len(point)] = -point
     gram = left.linear.gram()
-    mean = np.linalg.solve(gram, left.linear.columns.along(left.linear.target) + pull)[:kept]
-    mean[: len(point)] += point
+    mean = np.linalg.solve(gram, left.linear.columns.along(left.target))[:kept]
     covariance = np.linalg.solve(gram, np.eye(len(gram), kept))[:kept]
     return _Gaussian(np.asarray(mean, dtype=np.float64), np.asarray(covariance, dtype=np.float64))
 
@@ -158,7 +155,7 @@ def _values(
     walked = model.space.to_parameters(drawn[:, :d])
     free = {name: np.asarray(walked[name]) for name in model.space.names if name not in of_effects}
     prior = model.thrust_prior
-    levels = prior.common_mean_n + drawn[:, d:] @ prior.shared.T
+    levels = model.points(drawn[:, :d]).mean_levels_n + drawn[:, d:] @ prior.shared.T
     free |= {_level(name): levels[:, k] for k, name in enumerate(_thrusters(weighed))}
     return effect_values(weighed.hypothesis, drawn[:, :d]), free
 

@@ -415,6 +415,5 @@ def _unexplained(hypothesis: Hypothesis, points: Array) -> Array:
     model, term = hypothesis.model, hypothesis.model.totals_rows
     located = model.points(points)
     system, factor = term.at(located).system, term.thrust_factor(located)
-    mean = model.thrust_prior.common_mean_n
-    thrust = np.full((1, 1, system.design.shape[-1]), mean) if factor is None else mean * factor
+    thrust = located.mean_levels_n[:, None] * (1.0 if factor is None else factor)
     return np.asarray((system.target - (system.design @ thrust[..., None])[..., 0])[..., :3])

@@ -111,7 +111,7 @@ def cause_part(events: Events, weighed: Weighed[Hypothesis]) -> list[Array]:
     shared = without.part_of(hypothesis, weighed.mode.point)
     linear, factors = linearise(hypothesis, weighed.mode.point)
     plain, plain_factors = linearise(without, shared)
-    seen = left.linear.columns.along(left.linear.target)
+    seen = left.linear.columns.along(left.target)
     fitted = np.asarray(np.linalg.solve(left.linear.gram(), seen), dtype=np.float64)
     # slopes stand first, and are those of one model alone; all other unknowns are both models'
     unknowns = fitted[len(weighed.mode.point) : linear.columns.width]

@@ -62,14 +62,19 @@ def line_statistic(linear: Linear, left: Array, times: Sequence[Array]) -> Array
 
 
 def p_value(
-    linear: Linear, times: Sequence[Array], rng: np.random.Generator, replicates: int = REPLICATES
+    linear: Linear,
+    target: Array,
+    times: Sequence[Array],
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
 ) -> float:
     """Probability, if the model is true, of slow innovations or lines as large as these.
 
     Parameters
     ----------
-    linear
-        The whitened linear model with its target (m,).
+    linear, target
+        The whitened linear model, and what it is fitted to (m,), about the prior mean as
+        replicates are.
     times
         Times of the rows of every event, s.
     rng
@@ -82,7 +87,7 @@ def p_value(
     sd = 1.0 / np.sqrt(linear.precision)
     draws = linear.columns @ (sd[:, None] * rng.standard_normal((p, replicates)))
     draws += rng.standard_normal((m, replicates))
-    left = fitted_away(linear, np.concatenate([linear.target[:, None], draws], axis=1))
+    left = fitted_away(linear, np.concatenate([target[:, None], draws], axis=1))
     ranks = [
         rankdata(-statistic(linear, left, times), method="max")
         for statistic in (slow_statistic, line_statistic)

@@ -99,7 +99,7 @@ def with_turns(
     Parameters as of :func:`joined`.
     """
     both, turned = joined(hypothesis, z, linear, rows)
-    left = fitted_away(both, both.target)
+    left = fitted_away(both, both.about_prior_mean(z))
     events = [
         _innovations(event, left[part].reshape(-1, 3))
         for event, part in zip((*rows, *turned), both.parts, strict=True)

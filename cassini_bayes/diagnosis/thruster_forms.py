@@ -65,14 +65,15 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
     model = hypothesis.model
     left = left_by(weighed)
     located = model.points(point[None])
-    expected = model.thrust_prior.common_mean_n
+    expected = located.mean_levels_n[0]
     names = tuple(dict.fromkeys(name for event in left.rows for name in event.thrusters))
     drift, lever = [], []
     for place, (event, term) in enumerate(zip(left.rows, model.telemetry, strict=True)):
         turn = direction_cosines(event.attitude)
         # momentum in inertial axes, by what was fired from row to row
         per_newton = np.einsum("nai,nak->nik", turn, thrust_columns(hypothesis, point, place))
-        fired = expected * np.diff(per_newton, axis=0, prepend=per_newton[:1])
+        own = expected[: per_newton.shape[2]]
+        fired = own * np.diff(per_newton, axis=0, prepend=per_newton[:1])
         drift.append(_drift(event.time_s, turn, fired))
         if fired.shape[2] > 0:
             arms = np.broadcast_to(term.physics(located).arms_m, (1, *fired.shape[1:]))[0]

@@ -123,13 +123,11 @@ def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
     effects = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
     parts = [(np.zeros((len(time_s), 3, 0)), np.zeros(0))]
     points = model.points(z[None])
-    physics = term.physics(points)
+    physics, thrust_n = term.physics(points), points.mean_levels_n[0]
     rows = FittedRows(time_s, term.event.samples, physics)
     for members in layout.couples if effects and layout.thrusters else ():
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]
-        fired = fired_intervals(
-            term.event.samples, members, model.thrust_prior.common_mean_n * arms
-        )
+        fired = fired_intervals(term.event.samples, members, thrust_n * arms)
         for effect in effects:
             setting = effect.setting(model.spacecraft, model.branch)
             values = effect.values(points.parameters)

@@ -154,6 +154,8 @@ def with_second_cause(
     if best is None or best.net_evidence < least:
         return verdict
     pair = case.confirmed(best, rng)
+    if pair.net_evidence < least:  # few draws had it a little higher
+        return verdict
     if not verdict.best.is_cause and pair.score < verdict.best.score:
         return verdict
     # what stood beside the first cause is named now

@@ -93,7 +93,9 @@ class Setting:
 class Remainder:
     """What a fitted model leaves of the telemetry: where a search before the next fit looks.
 
-    ``samples`` and ``rows`` are those of every event, ``parameters`` the model's at its mode.
+    ``samples`` and ``rows`` are those of every event, ``linear`` is the model about its mode, and
+    ``target`` (m,) what it is fitted to, about the prior mean: taken about the mode, which has been
+    fitted to it, it would be fitted twice. ``parameters`` are the model's at its mode.
     ``with_turns`` makes rows and turns of quiet pieces, and the linear model that left them: first
     the rows of every event, then its turns.
     """
@@ -101,6 +103,7 @@ class Remainder:
     samples: tuple[Samples, ...]
     rows: tuple[InnovationRows, ...]
     linear: Linear
+    target: Array
     parameters: Mapping[str, float]
     with_turns: Callable[[], tuple[Linear, tuple[InnovationRows, ...]]]
 

@@ -70,6 +70,13 @@ class Points:
         """The level about which thrusts are counted, (n,) N."""
         return self.shared.thrust_prior.common_at(self.parameters, self.n)
 
+    @cached_property
+    def mean_levels_n(self) -> Array:
+        """Expected thrust levels without effects, (n, K) N: common, walked or of an earlier fit."""
+        prior = self.shared.thrust_prior
+        mean = prior.mean_at(self.parameters, self.common_n)
+        return np.broadcast_to(mean, (self.n, len(prior.shared)))
+
     def physics(self, modifiers: tuple[Modifier, ...]) -> Physics:
         """The physics with some effects."""
         if modifiers not in self._physics:

@@ -94,6 +94,10 @@ class Learned:
         """Number of joint draws."""
         return self.physics.size
 
+    def thrust_moved_n(self, epoch: datetime) -> Array:
+        """What printed thrusts drift by up to an epoch, (n,) N."""
+        return self.thrust_trend.at(epoch) - self.thrust_trend.centre
+
 
 def learn(
     model: Model,

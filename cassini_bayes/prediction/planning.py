@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import product
 from typing import Any, Final
 
@@ -30,7 +31,6 @@ from cassini_bayes.prediction.firing import mean_firing
 from cassini_bayes.prediction.ground_knowledge import group_impulse, hydrazine_g
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.physics import (
-    PhysicsDraws,
     arms_of,
     demand_of,
     features_of,
@@ -294,21 +294,27 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     """Expected on-times (K,), duration and hydrazine of a bias at the mean of all knowledge."""
     model, physics = typical.model, typical.physics
     rate = typical.pulses.coefficients[:, 0]
-    solver = solver_of(model, physics, physics.delivered_n(model), rate)
+    thrust = expected_thrusts(typical, request.epoch or typical.last_epoch)
+    solver = solver_of(model, physics, thrust, rate)
     rates = (request.start_rpm, request.end_rpm)
     lasts = duration_s(typical.manager, request.wheels, rates[1] - rates[0])
     demand = demand_of(model, physics, typical.manager, request.wheels, rates, lasts)
     features = features_of(model, solver, demand, lasts)
     on_time = on_times_of(typical, solver, demand.sum(1), mean_firing(typical.firing, features))
-    grams = _grams(typical, physics, on_time, rate)
-    return on_time[0], lasts, grams
+    return on_time[0], lasts, _grams(typical, thrust, on_time, rate)
 
 
-def _grams(typical: Learned, physics: PhysicsDraws, on_time: Array, rate: Array) -> float:
+def expected_thrusts(typical: Learned, epoch: datetime) -> Array:
+    """Expected thrusts (1, K), N, of a bias at an epoch: level, and trend of the printed thrust."""
+    level = typical.physics.delivered_n(typical.model)
+    return np.asarray(level + typical.thrust_moved_n(epoch).mean())
+
+
+def _grams(typical: Learned, thrust_n: Array, on_time: Array, rate: Array) -> float:
     if typical.hydrazine is None:
         return float("nan")
-    effective = on_time * stretch(typical.model, physics, rate)
-    total, couple = group_impulse(typical.layout, physics.delivered_n(typical.model), effective)
+    effective = on_time * stretch(typical.model, typical.physics, rate)
+    total, couple = group_impulse(typical.layout, thrust_n, effective)
     mean = typical.hydrazine.coefficients.mean(0, keepdims=True)
     return float(hydrazine_g(mean, total, couple)[0])
 

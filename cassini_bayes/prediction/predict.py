@@ -153,8 +153,7 @@ def _firings(
 def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
     """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
     loading = learned.model.thrust_prior.departures
-    trend = learned.thrust_trend
-    moved = trend.at(epoch) - trend.centre
+    moved = learned.thrust_moved_n(epoch)
     departure = rng.standard_normal((learned.size, loading.shape[1])) @ loading.T
     if still:
         departure, moved = np.zeros_like(departure), np.full_like(moved, moved.mean())

@@ -210,13 +210,16 @@ def _moments(own: Distribution) -> tuple[float, float]:
     mean, variance = (float(value) for value in frozen.stats(moments="mv"))
     low, high = own.support
     truncated = (low, high) != _support(own.name, own.keywords, None, None)
-    if not truncated or (not math.isfinite(variance) and not math.isfinite(high - low)):
+    bounded = math.isfinite(high - low)
+    if not truncated or not (bounded or math.isfinite(mean)):
         return mean, math.sqrt(variance) if variance >= 0 else math.nan
     # E[g(θ)] = ∫ g(F⁻¹(Φ(z))) φ(z) dz; the trapezoid rule converges very fast for it.
     weights = np.exp(standard_normal_log_density(_MOMENT_GRID))
     weights /= weights.sum()
     values = own.quantile_of_standard(_MOMENT_GRID)
     mean = float(weights @ values)
+    if not bounded and not math.isfinite(variance):  # a bound on one side leaves the other's tail
+        return mean, math.inf
     return mean, math.sqrt(float(weights @ (values - mean) ** 2))
 
 

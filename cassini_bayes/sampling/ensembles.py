@@ -335,10 +335,10 @@ def _start(
     values = np.full(walkers, -np.inf)
     for _ in range(START_ATTEMPTS):
         outside = np.flatnonzero(values == -np.inf)
-        if not len(outside):
-            break
         z[outside] = proposal.sample(random, len(outside))
         values[outside] = log_density(z[outside])
+        if not (values == -np.inf).any():
+            break
     else:
         raise CassiniBayesError(
             f"log density is -inf at {START_ATTEMPTS} draws of the proposal in a row: it has no "

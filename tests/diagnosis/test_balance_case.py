@@ -187,7 +187,9 @@ def test_nothing_hidden_gives_none_and_something_strange_gives_unknown() -> None
     assert null.best.name == "none"
     left = null.none.remainder
     assert left is not None
-    p = p_value(left.linear, [own.time_s for own in left.rows], np.random.default_rng(2))
+    p = p_value(
+        left.linear, left.target, [own.time_s for own in left.rows], np.random.default_rng(2)
+    )
     assert p > 0.001
     assert sum(null.probabilities.values()) == pytest.approx(1.0)
     pulse = {"peak_x_n_m": 4e-4, "peak_y_n_m": -3e-4, "peak_z_n_m": 2e-4}

@@ -28,8 +28,17 @@ from cassini_bayes.diagnosis.gain import (
     held_out_telemetry,
     held_out_totals,
     longest_first,
+    predicted_rows,
+    with_drifts,
 )
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, extend, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    unknown_hypothesis,
+)
+from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, find_mode
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
@@ -180,6 +189,30 @@ def test_a_row_of_another_spacecraft_scores_badly() -> None:
     assert found.rmse > 2.0 * plain().rmse
     assert found.coverage_90 is not None
     assert found.coverage_90 < (plain().coverage_90 or 0.0)
+
+
+def test_what_is_unknown_counts_in_the_rows_that_it_predicts() -> None:
+    """A torque that wanders makes held-out rows less certain, more so the further from the first.
+
+    Control: without its columns the same rows seem known to their noise.
+    """
+    events = leaking({"bias-1": "z3", "bias-2": "z3", "bias-3": "z3"})
+    unknown = compact(unknown_hypothesis(events))
+    z = np.zeros(unknown.dimension)
+    z[unknown.model.space.names.index("torque_noise_n_m_s05")] = 3.0
+    wandering, _ = with_drifts(unknown, z)
+    still, _ = linearise(unknown, z)
+    spread, control = (predicted_rows(linear, 0, -z)[1] for linear in (wandering, still))
+    assert spread[-30:].mean() > 1.5 * control[-30:].mean()
+    assert spread[-30:].mean() > 1.2 * spread[:30].mean()
+
+
+def test_a_row_that_alone_brings_a_parameter_is_held_out_like_any_other() -> None:
+    """Only the first row has a ΔV, and so its noise: without that row nobody walks it."""
+    first, *others = three()
+    found = scored((first, *(replace(row, delta_v_m_s=None) for row in others)))
+    assert np.isfinite(found.log_scores).all()
+    assert found.rmse == pytest.approx(plain().rmse, rel=0.3)
 
 
 @pytest.mark.parametrize("has_rows", [True, False])

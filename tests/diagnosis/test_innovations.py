@@ -20,8 +20,13 @@ from cassini_bayes.diagnosis.correlations import (
     innovation_tests,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
-from cassini_bayes.diagnosis.hypotheses import Hypothesis
-from cassini_bayes.diagnosis.innovations import SMOOTHED_ROWS, smoothed
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.innovations import (
+    SMOOTHED_ROWS,
+    linearise,
+    smoothed,
+    thrust_columns,
+)
 from cassini_bayes.diagnosis.nuisances import traded
 from cassini_bayes.diagnosis.overlay import cause_part, fit_percent, overlays
 from cassini_bayes.diagnosis.refit import fit_extended
@@ -98,6 +103,27 @@ def test_a_rows_own_noise_is_in_none_of_its_running_means() -> None:
     wanted[60] = 0.0
     for column in columns:
         assert moved[:, column] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_a_common_thrust_that_is_walked_moves_all_thrusts() -> None:
+    """A normal prior with a bound is walked: its column is that of all thrusters, times its sd.
+
+    It had been nothing, as if the mean of what is walked were what is expected.
+    """
+    normal = PRIORS.parameters["thrust_common_n"].distribution
+    assert normal is not None
+    bounded = replace(normal, low=0.0)
+    walked = none_hypothesis(
+        reduced(flight(leak=False), PRIORS.with_distribution("thrust_common_n", bounded))
+    )
+    d = walked.dimension
+    at = walked.model.space.names.index("thrust_common_n")
+    linear, (factor, *_) = linearise(walked, np.zeros(d))
+    first = linear.columns.parts[0]
+    column = first.values[:, list(first.places).index(at)]
+    levels = thrust_columns(walked, np.zeros(d), 0).sum(axis=2)
+    wanted = bounded.sd() * (levels @ np.linalg.inv(factor).T).reshape(-1)
+    assert column == pytest.approx(wanted, rel=1e-3, abs=1e-3 * np.abs(wanted).max())
 
 
 def test_correlations_are_standard_normal_if_the_model_is_true() -> None:

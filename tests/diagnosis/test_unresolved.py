@@ -64,7 +64,7 @@ def small_p_values() -> int:
     for seed in SEEDS:
         left = innovations(*at_mode(seed))
         times = [event.time_s for event in left.rows]
-        count += p_value(left.linear, times, np.random.default_rng(seed)) <= 0.05
+        count += p_value(left.linear, left.target, times, np.random.default_rng(seed)) <= 0.05
     return count
 
 
@@ -114,7 +114,7 @@ def p_value_of(seed: int) -> float:
     """Of such a bias, in which nothing is hidden."""
     left = innovations(*driven_evenly(seed))
     times = [event.time_s for event in left.rows]
-    return p_value(left.linear, times, np.random.default_rng(seed))
+    return p_value(left.linear, left.target, times, np.random.default_rng(seed))
 
 
 def test_wheels_driven_evenly_are_no_oscillation(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,7 +69,8 @@ def remainder_with(share: float, line: tuple[float, float], rng: np.random.Gener
         ColumnsByPart.of(np.concatenate([columns, nothing]), [len(columns)] * 2),
         linear.precision,
     )
-    return Remainder((samples,), (rows,), linear, parameters, lambda: (both, (rows, blind)))
+    looked_at = (both, (rows, blind))
+    return Remainder((samples,), (rows,), linear, linear.target, parameters, lambda: looked_at)
 
 
 SHARE_PRIORS = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from datetime import timedelta
 from functools import cache
 
 import numpy as np
@@ -20,7 +21,7 @@ from cassini_bayes.prediction.minimise import (
     cheapest_dictionary,
     cheapest_text,
 )
-from cassini_bayes.prediction.planning import expected_on_times, typical
+from cassini_bayes.prediction.planning import expected_on_times, expected_thrusts, typical
 from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
 
 WHEELS = (1, 2, 4)
@@ -61,6 +62,20 @@ def test_sparing_z_thrusters_is_a_y_bias() -> None:
     request = BiasRequest("x", WHEELS, np.array(START), np.array([1100.0, 550.0, 600.0]))
     other = expected_on_times(typical(learned()), request)[0][RING].sum()
     assert other > 2.0 * best.choices[0].cost.ring_s
+
+
+def test_a_bias_costs_the_thrust_of_its_epoch() -> None:
+    """Printed thrusts fall by 0.04 N a year: two years after the last event on-times are longer."""
+    one = typical(learned())
+    rates = np.array(START), np.array([1100.0, 550.0, 600.0])
+    last = BiasRequest("x", WHEELS, *rates)
+    later = replace(last, epoch=one.last_epoch + timedelta(days=730))
+    ratio = expected_on_times(one, later)[0].sum() / expected_on_times(one, last)[0].sum()
+    moved = [
+        expected_thrusts(one, epoch).mean() for epoch in (one.last_epoch, later.epoch) if epoch
+    ]
+    assert ratio == pytest.approx(moved[0] / moved[1], rel=0.03)
+    assert ratio > 1.05
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)

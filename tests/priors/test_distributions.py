@@ -305,6 +305,14 @@ def test_moments_that_do_not_exist() -> None:
     assert Distribution("beta", {"a": 2.0, "b": 5.0}, high=0.5).sd() < 0.15  # and no warning
 
 
+@pytest.mark.parametrize(("df", "mean"), [(2.0, 3.0), (1.5, 3.982)])
+def test_a_bound_moves_the_mean_of_heavy_tails(df: float, mean: float) -> None:
+    """t about 1 of scale 2, above 0: the mean is that of what is left, and there is no width."""
+    heavy = Distribution("t", {"df": df, "loc": 1.0, "scale": 2.0}, low=0.0)
+    assert heavy.mean() == pytest.approx(mean, rel=2e-3)
+    assert math.isinf(heavy.sd())
+
+
 def test_distributions_compare_copy_and_rebuild() -> None:
     """Equal by value, hashable, frozen; repr rebuilds the object; copies work across processes."""
     prior = Distribution("norm", {"loc": 0.05, "scale": 0.02}, low=0.0)

@@ -204,7 +204,7 @@ def _record(
     p = float("nan")
     left = verdict.none.remainder
     if left is not None:
-        p = p_value(left.linear, [event.time_s for event in left.rows], rng)
+        p = p_value(left.linear, left.target, [event.time_s for event in left.rows], rng)
     return {
         "hidden": [
             {"name": h.name, "parameters": dict(h.parameters), "sigma": h.sigma} for h in hidden
