@@ -121,8 +121,8 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 def _print_stopped() -> None:
     typer.echo(
-        "stopped; a run, fit or diagnosis goes on with the same command and --resume, a campaign "
-        "with the same command",
+        "stopped; a run, fit or diagnosis goes on with the same command and --resume, a sweep, a "
+        "trend or a campaign with the same command",
         err=True,
     )
 

@@ -180,6 +180,9 @@ def check_once(where: str, header: Sequence[str]) -> None:
 def _check_header(
     where: str, header: Sequence[str], columns: Sequence[str], needed: Collection[str]
 ) -> None:
+    if len(header) == 1 and len(columns) > 1 and (marks := set(header[0]) & set(";\t|")):
+        fix = "save the table as CSV with commas"
+        raise InputError(where, "names separated by commas", f"one with {marks.pop()!r} in it", fix)
     missing = [name for name in columns if name not in header]
     for name in header:
         if name not in columns:

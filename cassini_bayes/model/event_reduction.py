@@ -64,7 +64,7 @@ from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import Spacecraft, couples
 from cassini_bayes.spacecraft.parameters import NOISE_LEVELS
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.pulses import shape_named
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 WITH_DELTA_V: Final = ("bias", "delta_v")  # kinds of event whose measured velocity change is used
@@ -275,7 +275,7 @@ def sampling_of(
         reference = (delay.mean, rise.mean, fall.mean)
         guard = delay.mean + _TAIL_SPAN * (fall.mean + _PRIOR_SPAN * fall.sd)
     return Sampling(
-        PULSE_SHAPES[pulse_shape],
+        shape_named(pulse_shape, "pulse_shape"),
         reference,
         guard,
         tuple(tuple(list(thrusters).index(name) for name in group) for group in groups),
@@ -464,10 +464,13 @@ def _require_start(event: TelemetryEvent, start_s: float, end_s: float) -> None:
     lasts_s = end_s - start_s
     if -MOST_EARLY * lasts_s <= start_s <= lasts_s:
         return
-    fix = "count times from the first row"
+    fix = (
+        "count times from the first row, or say in a channel map what they are: channels.time has "
+        "time_system, unit and epoch"
+    )
     if abs(start_s) < MOST_LATE_S:
         first = (event.epoch + timedelta(seconds=start_s)).isoformat()
-        fix = f"give epoch = {first} if times are dates, or {fix}"
+        fix = f"where times are dates give epoch = {first}; where they are counts {fix}"
     raise InputError(
         f"{event.where}: epoch",
         "the time of the first row, from which times are counted",

@@ -15,6 +15,7 @@ from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
+from cassini_bayes.events.telemetry.event import DESCRIPTION
 from cassini_bayes.events.totals import TotalsEvent, read_totals, split_reference
 from cassini_bayes.model.event_reduction import ReducedEvent, is_event_folder, reduce_event
 from cassini_bayes.model.nominal import check_rows
@@ -110,6 +111,9 @@ def read_reference(
     if is_event_folder(Path(given)):
         reduced = reduce_event(Path(given), priors, pulse_shape, cache, log, policy)
         return Read.of_reduced(reduced, str(given))
+    if Path(given).name == DESCRIPTION:
+        where, fix = str(given), f"name the folder: {Path(given).parent}"
+        raise InputError(where, "an event folder or a table of totals", "an event's file", fix)
     rows = read_totals(str(given), priors.spacecraft, source)
     file, _ = split_reference(str(given), Path())
     return Read.of_rows(rows, check_rows(rows, priors, str(given), policy), file)

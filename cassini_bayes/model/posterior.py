@@ -37,7 +37,7 @@ from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, LATE_FACTOR, ParameterSpec
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.pulses import shape_named
 
 TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 TAIL: Final = "tau_fall_s"
@@ -223,13 +223,7 @@ def build_model(
         No event; an id twice; events of another branch or wheel set; unknown pulse shape; a
         parameter that is missing, or that leaves nothing to estimate.
     """
-    if pulse_shape not in PULSE_SHAPES:
-        raise InputError(
-            "model.pulse_shape",
-            f"one of {', '.join(PULSE_SHAPES)}",
-            repr(pulse_shape),
-            "choose one of these",
-        )
+    shape_named(pulse_shape, "model.pulse_shape")
     _require_distinct([event.id for event in events])
     rows = [event for event in events if isinstance(event, TotalsEvent)]
     reduced = [_with_columns(e, effects) for e in events if isinstance(e, ReducedEvent)]

@@ -9,11 +9,10 @@ from pydantic import Field
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.settings import EventsTable
-from cassini_bayes.files.checks import nearest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.sampling.ensembles import SamplerSettings
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.pulses import shape_named
 
 
 class ModelTable(Table):
@@ -85,11 +84,13 @@ def check_run(table: dict[str, Any], where: str) -> RunFile:
         Unknown key (with the nearest one), wrong type or range.
     """
     run = validated(RunFile, table, where)
-    if run.model.pulse_shape not in PULSE_SHAPES:
+    shape_named(run.model.pulse_shape, f"{where}: model.pulse_shape")
+    sampler = run.sampler
+    if "first_check" in sampler.model_fields_set and sampler.first_check >= sampler.max_steps:
         raise InputError(
-            f"{where}: model.pulse_shape",
-            f"one of {', '.join(PULSE_SHAPES)}",
-            repr(run.model.pulse_shape),
-            nearest(run.model.pulse_shape, PULSE_SHAPES),
+            f"{where}: sampler.first_check",
+            f"fewer steps than max_steps, {sampler.max_steps}, as a chain is judged by two checks",
+            f"{sampler.first_check}",
+            "lower it, or raise max_steps",
         )
     return run

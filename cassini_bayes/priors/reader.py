@@ -10,6 +10,7 @@ events counts once.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -464,6 +465,13 @@ def _read_distribution(
     )
     distribution = Distribution(name, keywords, low, high, where=where)
     check_bounds(where, distribution)
+    if not (math.isfinite(distribution.mean()) and math.isfinite(distribution.sd())):
+        raise InputError(
+            f"{where}.dist",
+            "a distribution with a mean and a standard deviation",
+            f"{name}, whose tails are too heavy for that",
+            "bound it by low and high",
+        )
     if _never_negative(spec):
         _check_never_negative(where, spec, distribution)
     if spec.name in _PUSHING and (median := float(distribution.quantile_of_standard(0.0))) <= 0.0:

@@ -163,7 +163,8 @@ def check_convergence(
     length = kept.shape[1]
     failed = []
     if length <= LENGTH_IN_TAU * tau.max():
-        failed.append(f"length {length} of {LENGTH_IN_TAU:.0f} τ = {LENGTH_IN_TAU * tau.max():.0f}")
+        needed = LENGTH_IN_TAU * tau.max()
+        failed.append(f"length {length} of {needed:.0f} steps, {LENGTH_IN_TAU:.0f} τ")
     if change >= TAU_CHANGE:
         failed.append("τ not seen twice" if previous_tau is None else f"τ changed {change:.0%}")
     if not between.max() < MAX_RHAT:

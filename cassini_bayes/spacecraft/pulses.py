@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import choose
 
 EffectiveTime = Callable[[Array, Array, Array, Array], Array]
 ThrustFraction = Callable[[Array, Array, Array, Array, Array], Array]
@@ -212,6 +214,20 @@ With reached(t) = 1 − exp(−t/τ_r), the effective times are
   Δ ≥ τ_d, and (Δ + τ_f) reached(Δ) below
 * ``published_2012``: Δ − τ_r + τ_f
 """
+
+
+def shape_named(name: str, where: str) -> PulseShape:
+    """The pulse shape of a name.
+
+    Raises
+    ------
+    InputError
+        There is none; ``where`` is what gave the name.
+    """
+    if name not in PULSE_SHAPES:
+        expected = f"one of {', '.join(PULSE_SHAPES)}"
+        raise InputError(where, expected, repr(name), choose(name, PULSE_SHAPES))
+    return PULSE_SHAPES[name]
 
 
 def effective_on_time(

@@ -388,6 +388,17 @@ def test_a_counter_of_the_wrong_kind_is_told_by_the_key_of_its_map(tmp_path: Pat
         load_event(read_event(folder, CASSINI), CASSINI)
 
 
+def test_counts_per_interval_are_lost_with_a_row(tmp_path: Path) -> None:
+    """A row that is missing takes its counts with it: refused. Another cadence has them all."""
+    frame = foreign_frame(own_frame())
+    folder = folder_of(tmp_path / "gap", "data.csv", MAP, frame.drop(index=17))
+    with pytest.raises(InputError, match=r"line 19, .*got none for 2 s; give cumulative counts"):
+        load_event(read_event(folder, CASSINI), CASSINI)
+    slower = frame.loc[[*range(20), *range(23, 40, 4)]]
+    folder = folder_of(tmp_path / "slower", "data.csv", MAP, slower)
+    load_event(read_event(folder, CASSINI), CASSINI)
+
+
 def test_what_is_no_frame_and_text_in_one_are_named() -> None:
     """Nothing, a dictionary and an array are told from a frame; one cell of text by its row."""
     own = own_frame()

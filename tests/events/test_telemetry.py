@@ -679,6 +679,8 @@ def wrap(rows: Rows, column: str, size: float, start: float) -> Rows:
         ("on_time_y4_s", 655.36, 654.0),
         ("on_time_z2_s", 1000.0, 999.5),
         ("on_time_z2_s", 32.0, 31.75),
+        ("on_time_z2_s", 10.0, 9.75),
+        ("on_time_z2_s", 10.24, 9.75),
         ("pulses_z1", 256.0, 250.0),
         ("pulses_y2", 65536.0, 65535.0),
         ("pulses_y2", 1000.0, 991.0),
@@ -741,8 +743,8 @@ def test_a_wrap_below_what_was_counted_is_none(tmp_path: Path) -> None:
 
 
 def test_sizes_at_which_counters_wrap() -> None:
-    """Powers of two of the least step, and round figures."""
-    assert {65.536, 40.96, 32.0, 1000.0} <= set(wrap_sizes("on_time"))
+    """Powers of two and of ten of the least step."""
+    assert {65.536, 40.96, 32.0, 10.0, 1000.0} <= set(wrap_sizes("on_time"))
     assert {256.0, 65536.0, 2.0**32, 100.0} <= set(wrap_sizes("pulses"))
     assert 65.536 not in wrap_sizes("pulses")
 

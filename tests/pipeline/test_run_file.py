@@ -100,6 +100,13 @@ def test_the_flight_run_file_is_good() -> None:
             "0.95",
             "change",
         ),
+        (
+            f"{LEAST}[sampler]\nfirst_check = 500\nmax_steps = 400",
+            "sampler.first_check",
+            "fewer steps than max_steps, 400",
+            "500",
+            "lower it",
+        ),
         (f"{LEAST}[output]\nreport = 'yes'", "output.report", "boolean", "'yes'", "change"),
         (
             f"{LEAST}[model]\ndelta_v = 'as_declared'",

@@ -389,6 +389,7 @@ BAD_FILES = {
     "scale inf": (("scale = 0.013", "scale = inf"), ["cm_x_m.scale", "inf"]),
     "scale zero": (("scale = 0.013", "scale = 0"), ["cm_x_m.scale", "above 0"]),
     "scale negative": (("scale = 0.013", "scale = -0.013"), ["cm_x_m.scale", "above 0"]),
+    "no mean": (('dist = "norm"', 'dist = "cauchy"'), ["cm_x_m.dist", "bound it by low"]),
     "low above high": (("low = 0.0", "low = 0.2\nhigh = 0.1"), ["tau_fall_s.low", "swap"]),
     "low is high": (("low = 0.0", "low = 0.1\nhigh = 0.1"), ["tau_fall_s.low"]),
     "low as text": (("low = 0.0", 'low = "0"'), ["tau_fall_s.low", "number"]),

@@ -263,7 +263,8 @@ def _expected(
     the variance of a rounding over long times, s².
     """
     seconds, count = fired.seconds - longer, fired.pulses
-    every = _spacing(float(spreads.mean()), np.sqrt(rounding) / (_mean_pulse(fired) * count.mean()))
+    usual = max(_mean_pulse(fired) * float(count.mean()), LEAST_STEP_S)
+    every = _spacing(float(spreads.mean()), np.sqrt(rounding) / usual)
     starts = read_levels(len(seconds) + 1, every)[:-1]
     together, pulses, own = (np.add.reduceat(each, starts) for each in (seconds, count, spreads))
     width = _mean_width(together, pulses, own, rounding)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -88,11 +88,16 @@ class ChannelMap:
     delimiter: str
     digest: str
 
+    def is_per_interval(self, channel: str, columns: Iterable[str] = ()) -> bool:
+        """Whether a counter, or one of its columns by its own key, counts anew in every row."""
+        keys = [key for key in (channel, *columns) if key in self.channels]
+        return any(self.channels[key].kind == "per_interval" for key in keys)
+
     def other_kind(self, channel: str, column: str) -> str:
         """Where the file says how a counter's column counts, and what it may have to say."""
         key = column if column in self.channels else channel
         where = f"{self.where}: channels.{key}"
-        if key in self.channels and self.channels[key].kind == "per_interval":
+        if self.is_per_interval(key):
             return f'{where}.kind is "per_interval": write "cumulative" if the column counts up'
         return f'write kind = "per_interval" in {where} if the column counts anew in every row'
 

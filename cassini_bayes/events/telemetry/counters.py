@@ -21,18 +21,22 @@ SLACK_S: Final = 0.3
 ROUNDING: Final = 1e-6
 STEEPER: Final = 3.0
 """A wrap may hide a growth up to so many times the largest one seen."""
+LONGER_STEP: Final = 1.5  # times those before and after: a row is missing
 FROZEN_PULSES: Final = 10
 """So many pulses without any on-time are no matter of rounding."""
 _BITS: Final = (8, 10, 12, 15, 16, 24, 31, 32)
 _STEPS_S: Final = (0.001, 0.005, 0.01, 0.1, 0.125, 1.0)
-_ROUND: Final = tuple(10.0**n for n in range(2, 8))
+_DIGITS: Final = range(2, 8)
+_GRIDS: Final = np.array([0.5, 0.25, 0.2, 0.125, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001])
+"""Steps, s, of which all that an on-time grows by may be multiples."""
 
 
 def wrap_sizes(channel: str) -> tuple[float, ...]:
-    """Ranges at which a counter may start again at 0: 2^n least steps, or a round figure."""
+    """Ranges at which a counter may start again at 0: 2^n or 10^n least steps."""
     steps = _STEPS_S if channel == "on_time" else (1.0,)
-    sizes = {*_ROUND, *(round(2.0**n * step, 6) for n in _BITS for step in steps)}
-    return tuple(sorted(size for size in sizes if size >= 10.0))
+    binary = (2.0**n * step for n in _BITS for step in steps)
+    decimal = (10.0**n * step for n in _DIGITS for step in steps)
+    return tuple(sorted({round(size, 6) for size in (*binary, *decimal) if size >= 10.0}))
 
 
 class Counter:
@@ -52,6 +56,7 @@ class Counter:
         self._wrapped = np.zeros(size)  # what wraps have taken away so far
         self._highest = np.zeros(size)  # raw
         self._steepest = np.zeros(size)  # largest growth from one sample to the next
+        self._on_grid = np.ones(len(_GRIDS), dtype=np.bool_)  # of what all have grown by
         self._size: float | None = None  # where the counters wrap, once one did
 
     def checked(self, block: Block) -> Array:
@@ -67,8 +72,11 @@ class Counter:
         growth = np.diff(values, axis=1, prepend=first[:, None])
         step_s = np.diff(time, prepend=start)
         self._last = (float(time[-1]), values[:, -1].copy())
+        if self._counts_anew(block):
+            self._check_gaps(block, rows, step_s)
         if self._channel == "on_time":
             self._check_pace(block, rows, growth, step_s)
+        self._look_at_grids(growth)
         if growth.min() < -ROUNDING:
             values = values + np.cumsum(self._unwrap(block, rows, growth, step_s), axis=1)
         counts = values + self._wrapped[:, None]
@@ -89,6 +97,11 @@ class Counter:
             block.check(own < 0.0, column, f"0 or more, in {self._unit}", "check the column")
             if self._channel == "pulses":
                 block.check(own % 1.0 > 0.0, column, "a whole number of pulses", fix)
+
+    def _look_at_grids(self, growth: Array) -> None:
+        grown = np.unique(growth[growth > ROUNDING])
+        for i in np.flatnonzero(self._on_grid):
+            self._on_grid[i] = are_multiples(grown, float(_GRIDS[i]))
 
     def _unwrap(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> Array:
         """What wraps took away at each sample (K, m); ``growth`` is mended in place."""
@@ -131,6 +144,10 @@ class Counter:
             for size in sizes
             if size + ROUNDING >= before and -ROUNDING <= now + size - before <= most
         ]
+        if len(fits) > 1 and self._on_grid.any():
+            # pulses of whole cycles grow by whole cycles over a wrap as well
+            step = float(_GRIDS[self._on_grid][0])
+            fits = [s for s in fits if are_multiples(np.array([now + s - before]), step)]
         return fits[0] if len(fits) == 1 else None
 
     def _check_highest(self, block: Block, row: int) -> None:
@@ -146,6 +163,23 @@ class Counter:
                     "a counter that fell near there was reset rather than wrapped: mend it",
                     f"up to {highest:.10g}",
                 )
+
+    def _counts_anew(self, block: Block) -> bool:
+        names = (block.header[column].partition(" (from")[0] for column in self._columns)
+        return self._map is not None and self._map.is_per_interval(self._channel, names)
+
+    def _check_gaps(self, block: Block, rows: Rows, step_s: Array) -> None:
+        """A row that is missing among others has counts that nobody knows."""
+        before, after = step_s[:-1], np.append(step_s[2:], step_s[-2:-1])
+        gap = (step_s[1:] > LONGER_STEP * before) & (step_s[1:] > LONGER_STEP * after)
+        for i in (1 + np.flatnonzero(gap & (before > 0.0))).tolist():
+            raise block.refuse(
+                int(rows[i]),
+                self._columns[0],
+                f"a row every {step_s[i - 1]:.6g} s, as counts per interval are lost with theirs",
+                "give cumulative counts, or split the event there",
+                f"none for {step_s[i]:.6g} s",
+            )
 
     def _check_pace(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> None:
         for i, k in np.argwhere((growth > 1.01 * step_s + SLACK_S).T).tolist():
@@ -164,6 +198,11 @@ class Counter:
         if self._map is None:
             return 'counts per interval need a channel map with kind = "per_interval"'
         return self._map.other_kind(self._channel, name.partition(" (from")[0])
+
+
+def are_multiples(values: Array, step: float) -> bool:
+    """Whether all values are multiples of a step, but for what printing rounds."""
+    return bool(np.all(np.abs(values - step * np.round(values / step)) < ROUNDING))
 
 
 class Agreement:
@@ -229,6 +268,7 @@ class Agreement:
                 int(rows[i]),
                 self._pulse_columns[k],
                 "a pulse for every firing that starts",
-                f"check this column and {block.header[self._on_time_columns[k]]}",
+                f"check this column and {block.header[self._on_time_columns[k]]}; where counters"
+                " are read more seldom than rows come, leave the cells between readings empty",
                 f"{total[i, k]:.4g} s of firings that no pulse began",
             )

@@ -13,6 +13,7 @@ from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.spacecraft import Spacecraft
 
+SAME_TIME_S: Final = 1e-6  # of a first row at 0, whatever a unit has rounded
 HIGHEST_DELTA_V_M_S: Final = 2000.0
 MOST_COUNTS: Final = 1_000_000
 
@@ -30,7 +31,7 @@ class Times:
         time = block.cells[self._column]
         fix = "give every row its time, or drop it"
         block.check(np.isnan(time), self._column, "a time in s", fix)
-        if self._last is None and time[0] != 0.0:
+        if self._last is None and abs(time[0]) > SAME_TIME_S:
             said = f"starts at {time[0]:.10g} s, not at 0: is epoch the time of the first row?"
             self._mends.add("late_start", "time_s", block.lines[:1], said)
         first = -np.inf if self._last is None else self._last[self._column]

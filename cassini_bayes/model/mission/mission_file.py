@@ -15,7 +15,7 @@ from cassini_bayes.events.settings import EventsTable
 from cassini_bayes.files.checks import in_utc
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
-from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
+from cassini_bayes.spacecraft.pulses import shape_named
 from cassini_bayes.spacecraft.units import YEAR_S
 
 
@@ -189,13 +189,7 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
                 'add branch = "B"',
             )
     _refuse_changed_twice(mission.dated, where)
-    if mission.pulse_shape not in PULSE_SHAPES:
-        raise InputError(
-            f"{where}: pulse_shape",
-            f"one of {', '.join(PULSE_SHAPES)}",
-            repr(mission.pulse_shape),
-            "choose one of these",
-        )
+    shape_named(mission.pulse_shape, f"{where}: pulse_shape")
     law = None if mission.pressure is None else mission.pressure.blowdown
     if law is not None and mission.propellant is None:
         raise InputError(
