@@ -108,12 +108,11 @@ def read_reference(
         return Read.of_reduced(given)
     if isinstance(given, TelemetryEvent):
         return Read.of_reduced(reduce_event(given, priors, pulse_shape, cache, log, policy))
+    if Path(given).name == DESCRIPTION:
+        given = Path(given).parent
     if is_event_folder(Path(given)):
         reduced = reduce_event(Path(given), priors, pulse_shape, cache, log, policy)
         return Read.of_reduced(reduced, str(given))
-    if Path(given).name == DESCRIPTION:
-        where, fix = str(given), f"name the folder: {Path(given).parent}"
-        raise InputError(where, "an event folder or a table of totals", "an event's file", fix)
     rows = read_totals(str(given), priors.spacecraft, source)
     file, _ = split_reference(str(given), Path())
     return Read.of_rows(rows, check_rows(rows, priors, str(given), policy), file)

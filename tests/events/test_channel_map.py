@@ -388,6 +388,13 @@ def test_a_counter_of_the_wrong_kind_is_told_by_the_key_of_its_map(tmp_path: Pat
         load_event(read_event(folder, CASSINI), CASSINI)
 
 
+@pytest.mark.parametrize("wheels", [(1, 2, 4), np.array([1, 2, 4])])
+def test_wheels_may_be_any_sequence_in_python(wheels: Any) -> None:
+    """A tuple or an array is as good as a list."""
+    event = event_from_frame(own_frame(), {**DESCRIPTION, "wheels": wheels}, CASSINI)
+    assert event.wheels == (1, 2, 4)
+
+
 def test_counts_per_interval_are_lost_with_a_row(tmp_path: Path) -> None:
     """A row that is missing takes its counts with it: refused. Another cadence has them all."""
     frame = foreign_frame(own_frame())

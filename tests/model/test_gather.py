@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 from event_cases import document, priors, turned_about
 
 from cassini_bayes.events.plausibility import STRICT
-from cassini_bayes.model.gather import Read, together
+from cassini_bayes.model.event_reduction import ReducedEvent
+from cassini_bayes.model.gather import Read, gather, together
+from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
+
+EVENT = Path(__file__).parents[1] / "data" / "basilisk" / "leak" / "1-bias"
+
+
+def test_an_event_may_be_given_by_its_file() -> None:
+    """``event.toml`` stands for its folder."""
+    known = read_priors(EVENT.parent / "priors.toml")
+    one, other = (gather(at, known)[0][0] for at in (EVENT, EVENT / "event.toml"))
+    assert isinstance(one, ReducedEvent)
+    assert isinstance(other, ReducedEvent)
+    np.testing.assert_array_equal(one.statistics.gram, other.statistics.gram)
 
 
 @pytest.mark.parametrize("axes", ["xy", "xyz"])

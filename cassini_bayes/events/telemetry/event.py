@@ -283,6 +283,8 @@ class _Keys:
     def wheels(self, spacecraft: Spacecraft) -> tuple[int, ...]:
         """Different wheels of the spacecraft."""
         value = self.table["wheels"]
+        if isinstance(value, tuple | np.ndarray):  # of a caller in Python
+            value = np.asarray(value).tolist()
         known = spacecraft.wheel_numbers
         expected, fix = f"a list of wheels out of {known}", f"write e.g. wheels = {known[:3]}"
         if not isinstance(value, list) or not value or not all(type(n) is int for n in value):
