@@ -201,6 +201,8 @@ class ConsoleReporter:
         since, already = self._first[what]
         left = (total - done) * (now - since) / (done - already) if done > already else float("nan")
         rest = f", {left:.0f} s left" if left == left else ""
+        if 1 == total - done < done:  # what takes longest is what is left: a chain among draws
+            rest = ", the last one is at work"
         self.log(f"{what}: {done} of {total}{rest}", stays=done == total)
         if done == total:
             del self._first[what]  # the next stage of that name has a time of its own

@@ -37,6 +37,12 @@ def test_a_terminal_has_one_live_line() -> None:
     assert lines[1].endswith("searches: 3 of 3, 0 s left")
 
 
+def test_no_time_is_told_of_the_last_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is left longest takes longest: no time is promised for it, which others were to take."""
+    ConsoleReporter(quiet=False).count("cells", 112, 113)
+    assert capsys.readouterr().err.endswith("cells: 112 of 113, the last one is at work\n")
+
+
 def test_quiet_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
     """Nothing at all."""
     reporter = ConsoleReporter(quiet=True)
