@@ -86,10 +86,10 @@ def check_run(table: dict[str, Any], where: str) -> RunFile:
     run = validated(RunFile, table, where)
     shape_named(run.model.pulse_shape, f"{where}: model.pulse_shape")
     sampler = run.sampler
-    if "first_check" in sampler.model_fields_set and sampler.first_check >= sampler.max_steps:
+    if "first_check" in sampler.model_fields_set and sampler.first_check > sampler.max_steps:
         raise InputError(
             f"{where}: sampler.first_check",
-            f"fewer steps than max_steps, {sampler.max_steps}, as a chain is judged by two checks",
+            f"no more steps than max_steps, {sampler.max_steps}",
             f"{sampler.first_check}",
             "lower it, or raise max_steps",
         )

@@ -103,7 +103,7 @@ def test_the_flight_run_file_is_good() -> None:
         (
             f"{LEAST}[sampler]\nfirst_check = 500\nmax_steps = 400",
             "sampler.first_check",
-            "fewer steps than max_steps, 400",
+            "no more steps than max_steps, 400",
             "500",
             "lower it",
         ),
