@@ -46,4 +46,4 @@ def check_command(
         log=ConsoleReporter(output.quiet).log,
     )
     output.show(lambda: json.dumps(result.as_record()), lambda: repr(result))
-    plausibility.end(result.warnings, said=not output.as_json)
+    plausibility.end(result.warnings, said=not (output.quiet or output.as_json))
