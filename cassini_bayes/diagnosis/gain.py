@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp
 
-from cassini_bayes.balance.linearised import Linear, with_unknowns
+from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
@@ -35,7 +35,7 @@ from cassini_bayes.diagnosis.hypotheses import (
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, mode_from
 from cassini_bayes.diagnosis.onsets import without_event
-from cassini_bayes.diagnosis.rows_and_turns import torque_noise
+from cassini_bayes.diagnosis.rows_and_turns import with_torque_noise
 from cassini_bayes.diagnosis.score import LEAST_PIECES, WITHIN, HeldOut
 from cassini_bayes.effects.effect import Effect, onsets, settled_for
 from cassini_bayes.model.posterior import collapse, of_events
@@ -232,7 +232,8 @@ def held_out_telemetry(
             begins = tuple(str(effect.onset) for effect in way.whole.effects)
             centre = way.member.mode.point
             if begins not in known:
-                known[begins] = with_drifts(way.whole, centre)
+                rows, factors = linearise(way.whole, centre)
+                known[begins] = with_torque_noise(way.whole, centre, rows, factors), factors
             linear, factors = known[begins]
             predicted.append((*predicted_rows(linear, place, -centre), factors[place]))
         white, spread, factor = averaged(ways, predicted)
@@ -241,17 +242,6 @@ def held_out_telemetry(
     together = np.concatenate(residuals)
     rmse = float(np.sqrt(together @ together / len(together)))
     return HeldOut(np.array(scores), rmse, float(np.concatenate(inside).mean()))
-
-
-def with_drifts(hypothesis: Hypothesis, z: Array) -> tuple[Linear, list[Array]]:
-    """The linear model at z (d,) with columns of torque noise, and factors of the noise of rows."""
-    linear, factors = linearise(hypothesis, z)
-    density = float(hypothesis.model.points(z[None]).parameters["torque_noise_n_m_s05"][0])
-    walks = [
-        torque_noise(term.balance, term.event.usable_rows, density)
-        for term in hypothesis.model.telemetry
-    ]
-    return with_unknowns(linear, walks, factors), factors
 
 
 def averaged(

@@ -119,11 +119,7 @@ def joined(
     located = hypothesis.model.points(z[None])
     terms = [(term.balance, term.physics(located)) for term in hypothesis.model.telemetry]
     usable = [term.event.usable_rows for term in hypothesis.model.telemetry]
-    density = float(located.parameters["torque_noise_n_m_s05"][0])
-    walks = [
-        torque_noise(balance, own, density) for (balance, _), own in zip(terms, usable, strict=True)
-    ]
-    linear = with_unknowns(linear, walks, [event.noise_factor for event in rows])
+    linear = with_torque_noise(hypothesis, z, linear, [event.noise_factor for event in rows])
     targets, parts, turned = [linear.target], [*linear.columns.parts], []
     for (balance, physics), own, event, part, seen in zip(
         terms, usable, rows, linear.parts, linear.columns.parts, strict=True
@@ -148,6 +144,18 @@ def joined(
 
 def _innovations(event: InnovationRows, white: Array) -> InnovationRows:
     return replace(event, white=white, residual_n_m_s=white @ event.noise_factor.T)
+
+
+def with_torque_noise(
+    hypothesis: Hypothesis, z: Array, linear: Linear, factors: Sequence[Array]
+) -> Linear:
+    """A linear model of all events' rows with the columns of its torque noise at z (d,)."""
+    density = float(hypothesis.model.points(z[None]).parameters["torque_noise_n_m_s05"][0])
+    walks = [
+        torque_noise(term.balance, term.event.usable_rows, density)
+        for term in hypothesis.model.telemetry
+    ]
+    return with_unknowns(linear, walks, factors)
 
 
 def torque_noise(balance: TelemetryBalance, rows: Rows, density: float) -> tuple[Array, Array]:

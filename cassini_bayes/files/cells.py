@@ -180,9 +180,10 @@ def check_once(where: str, header: Sequence[str]) -> None:
 def _check_header(
     where: str, header: Sequence[str], columns: Sequence[str], needed: Collection[str]
 ) -> None:
-    if len(header) == 1 and len(columns) > 1 and (marks := set(header[0]) & set(";\t|")):
+    mark = next((own for own in ";\t|" if own in header[0]), "") if len(header) == 1 else ""
+    if mark and len(columns) > 1:
         fix = "save the table as CSV with commas"
-        raise InputError(where, "names separated by commas", f"one with {marks.pop()!r} in it", fix)
+        raise InputError(where, "names separated by commas", f"one with {mark!r} in it", fix)
     missing = [name for name in columns if name not in header]
     for name in header:
         if name not in columns:

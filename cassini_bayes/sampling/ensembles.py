@@ -162,8 +162,8 @@ def check_convergence(
     change = np.inf if previous_tau is None else float(np.max(np.abs(tau / previous_tau - 1.0)))
     length = kept.shape[1]
     failed = []
-    if length <= LENGTH_IN_TAU * tau.max():
-        needed = LENGTH_IN_TAU * tau.max()
+    needed = LENGTH_IN_TAU * tau.max()
+    if length <= needed:
         failed.append(f"length {length} of {needed:.0f} steps, {LENGTH_IN_TAU:.0f} τ")
     if change >= TAU_CHANGE:
         failed.append("τ not seen twice" if previous_tau is None else f"τ changed {change:.0%}")
@@ -172,7 +172,7 @@ def check_convergence(
     if sizes.min() < settings.target_ess:
         failed.append(f"ESS {sizes.min():.0f} of {settings.target_ess}")
     wanted = max(
-        LENGTH_IN_TAU * tau.max() + burn_in - steps,
+        needed + burn_in - steps,
         (settings.target_ess / max(sizes.min(), 1.0) - 1.0) * length,
         0.0,
     )

@@ -29,7 +29,6 @@ from cassini_bayes.diagnosis.gain import (
     held_out_totals,
     longest_first,
     predicted_rows,
-    with_drifts,
 )
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
@@ -40,6 +39,7 @@ from cassini_bayes.diagnosis.hypotheses import (
 )
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.modes import Mode, find_mode
+from cassini_bayes.diagnosis.rows_and_turns import with_torque_noise
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
@@ -200,8 +200,8 @@ def test_what_is_unknown_counts_in_the_rows_that_it_predicts() -> None:
     unknown = compact(unknown_hypothesis(events))
     z = np.zeros(unknown.dimension)
     z[unknown.model.space.names.index("torque_noise_n_m_s05")] = 3.0
-    wandering, _ = with_drifts(unknown, z)
-    still, _ = linearise(unknown, z)
+    still, factors = linearise(unknown, z)
+    wandering = with_torque_noise(unknown, z, still, factors)
     spread, control = (predicted_rows(linear, 0, -z)[1] for linear in (wandering, still))
     assert spread[-30:].mean() > 1.5 * control[-30:].mean()
     assert spread[-30:].mean() > 1.2 * spread[:30].mean()

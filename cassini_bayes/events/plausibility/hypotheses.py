@@ -41,6 +41,7 @@ from cassini_bayes.events.plausibility.verdict import (
     SUSPECT,
     Explanation,
 )
+from cassini_bayes.events.telemetry.rows import SAME_TIME_S
 from cassini_bayes.events.totals import SHORTEST_PULSE_S
 
 SILENT: Final = 1.5
@@ -65,7 +66,6 @@ CHANCE_SIGMAS: Final = 4.0
 PHYSICAL_LAG_S: Final = 2.5
 """Of counters: the bound of the catalogue's time_offset, which is the diagnosis's to name."""
 AXES: Final = "xyz"
-SAME_TIME_S: Final = 1e-6  # rounding of times that were written to a microsecond
 MOST_OF_ROWS: Final = 0.3
 """Of the rows: fewer are not asked for their noise (judgement)."""
 SELDOM_QUIET: Final = 0.25

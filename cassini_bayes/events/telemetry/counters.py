@@ -27,7 +27,7 @@ FROZEN_PULSES: Final = 10
 _BITS: Final = (8, 10, 12, 15, 16, 24, 31, 32)
 _STEPS_S: Final = (0.001, 0.005, 0.01, 0.1, 0.125, 1.0)
 _DIGITS: Final = range(2, 8)
-_GRIDS: Final = np.array([0.5, 0.25, 0.2, 0.125, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001])
+_GRIDS: Final = (0.5, 0.25, 0.2, 0.125, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Steps, s, of which all that an on-time grows by may be multiples."""
 
 
@@ -56,7 +56,8 @@ class Counter:
         self._wrapped = np.zeros(size)  # what wraps have taken away so far
         self._highest = np.zeros(size)  # raw
         self._steepest = np.zeros(size)  # largest growth from one sample to the next
-        self._on_grid = np.ones(len(_GRIDS), dtype=np.bool_)  # of what all have grown by
+        # steps of which all that was gained is a multiple; pulses are whole numbers anyway
+        self._grids: tuple[float, ...] = _GRIDS if channel == "on_time" else ()
         self._size: float | None = None  # where the counters wrap, once one did
 
     def checked(self, block: Block) -> Array:
@@ -99,9 +100,9 @@ class Counter:
                 block.check(own % 1.0 > 0.0, column, "a whole number of pulses", fix)
 
     def _look_at_grids(self, growth: Array) -> None:
-        grown = np.unique(growth[growth > ROUNDING])
-        for i in np.flatnonzero(self._on_grid):
-            self._on_grid[i] = are_multiples(grown, float(_GRIDS[i]))
+        if self._grids:
+            grown = growth[growth > ROUNDING]
+            self._grids = tuple(step for step in self._grids if are_multiples(grown, step))
 
     def _unwrap(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> Array:
         """What wraps took away at each sample (K, m); ``growth`` is mended in place."""
@@ -144,10 +145,10 @@ class Counter:
             for size in sizes
             if size + ROUNDING >= before and -ROUNDING <= now + size - before <= most
         ]
-        if len(fits) > 1 and self._on_grid.any():
+        if len(fits) > 1 and self._grids:
             # pulses of whole cycles grow by whole cycles over a wrap as well
-            step = float(_GRIDS[self._on_grid][0])
-            fits = [s for s in fits if are_multiples(np.array([now + s - before]), step)]
+            step = self._grids[0]
+            fits = [size for size in fits if are_multiples(now + size - before, step)]
         return fits[0] if len(fits) == 1 else None
 
     def _check_highest(self, block: Block, row: int) -> None:
@@ -200,7 +201,7 @@ class Counter:
         return self._map.other_kind(self._channel, name.partition(" (from")[0])
 
 
-def are_multiples(values: Array, step: float) -> bool:
+def are_multiples(values: Array | float, step: float) -> bool:
     """Whether all values are multiples of a step, but for what printing rounds."""
     return bool(np.all(np.abs(values - step * np.round(values / step)) < ROUNDING))
 

@@ -13,7 +13,7 @@ from cassini_bayes.events.telemetry.columns import Layout
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.spacecraft import Spacecraft
 
-SAME_TIME_S: Final = 1e-6  # of a first row at 0, whatever a unit has rounded
+SAME_TIME_S: Final = 1e-6  # rounding of times that were written to a microsecond
 HIGHEST_DELTA_V_M_S: Final = 2000.0
 MOST_COUNTS: Final = 1_000_000
 
