@@ -84,6 +84,26 @@ def test_shares_and_sizes_are_counted(answers: ModuleType) -> None:
     assert "3 leak_n: 2 is not in 0.8 … 1.2 (90 % HDI)" in said
 
 
+def test_what_the_oracle_cannot_tell_counts_as_named(answers: ModuleType) -> None:
+    """Of 5 to 10 σ by the oracle; a trial without an oracle's size has the benchmark's own."""
+    first = [cause("external_torque", [])]
+    records = [trial(index, {"leak_n": 1.0}, first) for index in (1, 3, 5, 7)]
+    alike = ["thruster_leak:z3", "external_torque"]
+    for record, size, group in zip(
+        records[:3], (None, 4.0, 12.0), (alike, alike, alike[:1]), strict=True
+    ):
+        record["oracle"] = {"sigma": size, "group": group}
+    said = answers.summary(records)
+    assert "right: 0 of 4" in said
+    assert "first is in the oracle's group: 2 of 3" in said
+    assert "oracle's group, 5 to 10 σ: 1 of 1" in said
+    assert "oracle's group, more: 0 of 1" in said
+    assert "oracle's group, less: 1 of 1" in said
+    rows = list(csv.DictReader(io.StringIO(answers.table(records))))
+    assert [row["oracle_sigma"] for row in rows] == ["7.0", "4.0", "12.0", ""]
+    assert rows[0]["oracle_group"] == "thruster_leak:z3 external_torque"
+
+
 def test_a_frequency_is_that_of_the_free_spacecraft(answers: ModuleType) -> None:
     """Where a record lacks it, it does not count: the spring alone swings slower."""
     found = cause("flexible_mode", [], frequency_hz=(0.101, 0.103))

@@ -30,6 +30,7 @@ CONDITIONS: Final = (
     "rate_noise_rad_s",
 )
 SMALL_P: Final = 0.05
+CLEAR_SIGMA: Final = (5.0, 10.0)
 
 
 def read(out: Path) -> list[Record]:
@@ -51,6 +52,18 @@ def verdict(record: Mapping[str, Any]) -> str:
     if set(expected) & set(first.get("confounded_with", ())):
         return "group"
     return first["name"] if first["name"] in ("none", "unknown") else "wrong"
+
+
+def is_in_group(record: Record) -> bool:
+    """Whether what is first is one that ``basilisk_oracle.py`` cannot tell from what is hidden."""
+    causes = record["diagnosis"]["causes"]
+    return bool(causes) and causes[0]["name"] in record["oracle"]["group"]
+
+
+def sigma(record: Record) -> float:
+    """Size of what a trial hides in σ: the oracle's, which knows of counters, where it has one."""
+    of_oracle = record.get("oracle", {}).get("sigma")
+    return float(record["hidden"][0]["sigma"] if of_oracle is None else of_oracle)
 
 
 def sizes(record: Record) -> Iterator[tuple[str, float, tuple[float, float]]]:
@@ -108,6 +121,7 @@ def shares(records: Sequence[Record]) -> list[str]:
         _share("refused or failed", answers.count("failed"), many),
         _share(f"p-values below {SMALL_P}", sum(small), len(small)),
     ]
+    lines += _by_oracle([record for record in records if "oracle" in record])
     held = [low <= truth <= high for record in records for _, truth, (low, high) in sizes(record)]
     if held:
         lines.append(_share("90 % HDIs of sizes that hold the truth", sum(held), len(held)))
@@ -119,12 +133,28 @@ def shares(records: Sequence[Record]) -> list[str]:
     return [*lines, *([f"by kind: {', '.join(by_kind)}"] if kinds else [])]
 
 
+def _by_oracle(asked: Sequence[Record]) -> list[str]:
+    """Shares of the trials that the oracle was asked about."""
+    if not asked:
+        return []
+    low, high = CLEAR_SIGMA
+    what = "first is in the oracle's group"
+    parts = {
+        what: asked,
+        f"{what}, {low:g} to {high:g} σ": [r for r in asked if low <= sigma(r) <= high],
+        f"{what}, more": [r for r in asked if sigma(r) > high],
+        f"{what}, less": [r for r in asked if sigma(r) < low],
+    }
+    return [_share(text, sum(map(is_in_group, own)), len(own)) for text, own in parts.items()]
+
+
 def table(records: Sequence[Record]) -> str:
     """One row (CSV) of every trial: conditions, what it hides, and what is first."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     answer = ("first", "probability", "named", "confounded", "p_value", "wall_s")
-    writer.writerow(("trial", "stratum", *CONDITIONS, "hidden", "sigma", *answer))
+    oracle = ("oracle_sigma", "oracle_group")
+    writer.writerow(("trial", "stratum", *CONDITIONS, "hidden", "sigma", *answer, *oracle))
     for record in records:
         conditions = record["conditions"] | {"events": " ".join(record["conditions"]["events"])}
         hidden = record["hidden"]
@@ -144,6 +174,8 @@ def table(records: Sequence[Record]) -> str:
                 int(own == "group"),
                 "" if p_value is None else f"{p_value:.4f}",
                 f"{said.get('wall_s', math.nan):.1f}",
+                f"{sigma(record):.1f}" if "oracle" in record else "",
+                " ".join(record["oracle"]["group"]) if "oracle" in record else "",
             )
         )
     return text.getvalue()

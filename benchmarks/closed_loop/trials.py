@@ -91,6 +91,7 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
         # as a diagnosis reports it: the hidden one is that of the spring alone
         body = flown[1].body(scene.events[0].name)
         record["free_frequency_hz"] = free_frequency_hz(body, flown[2].slosh)
+    record["baseline"] = dict(scene.truth.parameters)  # without what is hidden
     record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
     events = [str(folder / "record" / event.name) for event in scene.events]
     inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]

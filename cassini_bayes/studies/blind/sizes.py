@@ -202,19 +202,27 @@ def measured(stage: Stage, path: Growth, s: float) -> Hidden | None:
 def _flown_size(stage: Stage, hidden: Hidden, path: Growth, s: float) -> float:
     """σ on the flight that has the effect at size s.
 
-    Under conditions V has all that they change: what coarse counters leave open, and what attitudes
-    tell of rates that are coarser. What acts on pulses is measured by what it adds to rows and
-    turns, where V is a linear model's. It bends what is not known: 0.7 of a thrust has 0.7 of its
-    scatter, so that the curvature there would be too large by 1.4. Body, wheels and gyro make the
-    channels that the linear model smooths, and have the curvature of the marginal likelihood. Late
-    records have neither: they show nothing up to a control cycle, and then much.
+    Late records show nothing up to a control cycle, and then much: theirs is what they change.
     """
     if path.effect.kind.name == "time_offset":
         return changed_size(stage.view(hidden), stage.plain)
     if stage.scene.condition is None:
         return modelled_size(stage.view(hidden), path.effect, path.values(s))
-    events = stage.scene.fly((hidden,))
-    with_it, near = _flown_with(stage, events, path, s)
+    return size_on(stage.scene.fly((hidden,)), path, s, stage.base)
+
+
+def size_on(events: Events, path: Growth, s: float, start: Mode | None = None) -> float:
+    """σ of an effect at size s on events that have it, under the conditions that they have.
+
+    V has all that these change: what coarse counters leave open, and what attitudes tell of rates
+    that are coarser. What acts on pulses is measured by what it adds to rows and turns, where V is
+    a linear model's. It bends what is not known: 0.7 of a thrust has 0.7 of its scatter, so that
+    the curvature there would be too large by 1.4. Body, wheels and gyro make the channels that the
+    linear model smooths, and have the curvature of the marginal likelihood.
+
+    ``start``: a mode of the baseline to search from.
+    """
+    with_it, near = _flown_with(events, path, s, start)
     none = compact(none_hypothesis(events))
     if acts_on_pulses(none, with_it, near.point):
         return added_size(none, with_it, near.point)
@@ -356,11 +364,13 @@ def _flexible(
     return search_size(at, min(1.0, largest), sigma, span, largest)
 
 
-def _flown_with(stage: Stage, events: Events, path: Growth, s: float) -> tuple[Hypothesis, Mode]:
+def _flown_with(
+    events: Events, path: Growth, s: float, start: Mode | None
+) -> tuple[Hypothesis, Mode]:
     """The baseline with the effect at size s, on the flight that has it, and its mode there."""
     with_it = compact(held(none_hypothesis(events), path.effect, path.values(s)))
-    if with_it.dimension == len(stage.base.point):
-        return with_it, mode_near(with_it.log_density, stage.base.point, stage.base.factor)
+    if start is not None and with_it.dimension == len(start.point):
+        return with_it, mode_near(with_it.log_density, start.point, start.factor)
     # controllers answer an effect: rows have late pulses in one of the flights alone
     return with_it, highest_mode(with_it.log_density, with_it.model.starts)
 
@@ -373,7 +383,7 @@ def _flown_oscillation(stage: Stage, effect: Effect, hidden: Hidden) -> float:
         settled = replace(effect, search_result=hidden_line(stage.scene, events, hidden))
         events = events.with_columns_of([settled])
         path = Growth(settled, values, {})
-        return sensitivity(events, _flown_with(stage, events, path, 1.0)[1], path, 1.0)
+        return sensitivity(events, _flown_with(events, path, 1.0, stage.base)[1], path, 1.0)
     view = stage.view(hidden)
     settled = replace(effect, search_result=hidden_line(stage.scene, view.events, hidden))
     events = view.events.with_columns_of([settled])

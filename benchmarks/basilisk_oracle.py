@@ -1,0 +1,75 @@
+"""How clear what Basilisk's flights hide is to the package's linear oracle, and what is as likely.
+
+``basilisk_closed_loop.py`` flies with none of the package's physics, and its own σ knows nothing of
+what coarse counters leave open. This one reads trials that kept their telemetry (``--keep``) and
+adds to the record of each that hides one catalogued effect what
+:mod:`cassini_bayes.studies.blind.recorded` says: σ = √(δᵀV⁻¹δ) with V of the trial's conditions,
+and the group of causes that the oracle, not the diagnosis, cannot tell apart. Trials that have it
+are not done again. ``basilisk_closed_loop.py --summary`` then counts by it.
+
+It needs the package's environment and no Basilisk.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from cassini_bayes.diagnosis.read import read_events
+from cassini_bayes.events.plausibility import MISTAKES, Policy
+from cassini_bayes.studies.blind.recorded import what_can_be_told
+
+UNNAMED = "uncatalogued"
+
+
+def is_asked(record: dict[str, Any]) -> bool:
+    """Whether a trial hides one catalogued effect and has not been asked about yet."""
+    return "oracle" not in record and len(record["hidden"]) == 1 and record["stratum"] != UNNAMED
+
+
+def told(record: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """What the oracle says of a trial, for its record."""
+    hidden = record["hidden"][0]
+    flown = [str(folder / f"{i + 1}-{e}") for i, e in enumerate(record["conditions"]["events"])]
+    events = read_events(flown, folder / "priors.toml", policy=Policy(frozenset(MISTAKES)))
+    answer = what_can_be_told(events, hidden["name"], hidden["parameters"], record["baseline"])
+    return {"sigma": answer.sigma, "group": list(answer.group)}
+
+
+def main() -> int:
+    """Ask about all trials of a folder; exit status 1 where there are none."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the trials")
+    out = parser.parse_args().out
+    paths = sorted(out.glob("[0-9]*.json"))
+    if not paths:
+        print(f"no trials in {out}: expected numbered JSON files of --trials", file=sys.stderr)
+        return 1
+    for path in paths:
+        record = json.loads(path.read_text("utf-8"))
+        folder = out / path.stem / "record"
+        if not is_asked(record):
+            continue
+        if not folder.is_dir():
+            print(f"{path.stem}: no telemetry was kept (--keep): left as it is", file=sys.stderr)
+            continue
+        began = time.monotonic()
+        record["oracle"] = told(record, folder)
+        part = path.with_suffix(".part")
+        part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
+        part.replace(path)
+        hidden = record["hidden"][0]
+        sigma, own = record["oracle"]["sigma"], hidden["sigma"]
+        size = "no size of its own" if sigma is None else f"{sigma:.1f} σ"
+        group = ", ".join(record["oracle"]["group"])
+        spent = time.monotonic() - began
+        print(f"{path.stem} {hidden['name']} ({own:.1f} σ): {size}; {group}; in {spent:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

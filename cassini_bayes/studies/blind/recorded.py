@@ -1,0 +1,89 @@
+"""What can be told of an effect in a flight that was recorded elsewhere, its truth known.
+
+The same σ and the same groups as of trials over conditions, where nothing is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import compact, none_hypothesis
+from cassini_bayes.diagnosis.modes import highest_mode
+from cassini_bayes.effects.effect import Effect
+from cassini_bayes.errors import InputError
+from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
+from cassini_bayes.studies.blind.oracle import sizes_of
+from cassini_bayes.studies.blind.sizes import NULL_VALUES, Growth, size_on
+
+LATE: Final = "time_offset"
+"""Its size needs the flight without noise (:mod:`cassini_bayes.studies.blind.shift`)."""
+LEAK: Final = "thruster_leak"
+STEADY: Final = "external_torque"
+
+
+@dataclass(frozen=True)
+class Told:
+    """Size of a hidden effect in σ, and its group.
+
+    ``sigma``: None of late records, of what has to be searched for, and of leaks where nothing
+    fires.
+    ``group``: the effect, and up to three causes that are as likely on the data that it has on
+    average; of an oscillation itself alone.
+    """
+
+    sigma: float | None
+    group: tuple[str, ...]
+
+
+def what_can_be_told(
+    events: Events, name: str, values: Mapping[str, float], truth: Mapping[str, float]
+) -> Told:
+    """Size and group of a hidden effect.
+
+    Parameters
+    ----------
+    events
+        The recorded events that have it.
+    name, values
+        The effect and its parameters by key, as they were flown.
+    truth
+        Parameters of the baseline as they were flown, by name, in its units.
+
+    Raises
+    ------
+    InputError
+        No cause of these events is called that.
+    """
+    kind = name.partition(":")[0]
+    if name not in events.catalogue.names:
+        raise InputError(name, f"one of {', '.join(events.catalogue.names)}", name, "name another")
+    if kind == LEAK and not any(event.fires for event in events.telemetry):
+        # what knows no thrusters sees the torque of a leak, which is steady in body axes
+        return Told(None, (name, STEADY))
+    effect = events.catalogue.effect(name)
+    if effect.needs_search:
+        return Told(None, (name,))
+    none = compact(none_hypothesis(events))
+    base = highest_mode(none.log_density, none.model.starts)
+    size = sizes_of(effect, values, truth)
+    group = likelihood_classifier(events, base, values).group(name, size)
+    if kind == LATE:
+        return Told(None, group)
+    return Told(size_on(events, path_to(effect, values, truth), 1.0), group)
+
+
+def path_to(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Growth:
+    """The way of an effect to these values: it has them at size 1."""
+    direction, constant = {}, {}
+    for parameter in effect.parameters:
+        value = float(values[parameter.key])
+        if parameter.distribution.name == "lognorm":
+            constant[parameter.key] = value
+        elif parameter.is_departure:
+            direction[parameter.key] = value - truth[parameter.baseline]
+        else:
+            direction[parameter.key] = value - NULL_VALUES.get(parameter.key, 0.0)
+    return Growth(effect, direction, constant)
