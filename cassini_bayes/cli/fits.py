@@ -12,6 +12,7 @@ from cassini_bayes.cli.options import (
     ConsoleReporter,
     Effects,
     FittedEffects,
+    MaxSteps,
     NoReport,
     Output,
     Plausibility,
@@ -37,6 +38,7 @@ def run_command(
     out: Annotated[Path | None, typer.Option("--out", help="Folder of the run.")] = None,
     effects: Effects = None,
     seed: SeedOverride = None,
+    max_steps: MaxSteps = None,
     restart: Restart,
     plausibility: Plausibility,
     output: Output,
@@ -44,9 +46,7 @@ def run_command(
     """Run the whole pipeline of one run file: posterior, tables, figures, report."""
     from cassini_bayes.pipeline.run_file import read_run_file
 
-    run = read_run_file(run_file)
-    if seed is not None:
-        run = run.model_copy(update={"sampler": run.sampler.model_copy(update={"seed": seed})})
+    run = read_run_file(run_file, _sampler(seed, max_steps))
     run = run.accepting(plausibility.accept or [], leave_out=plausibility.leave_out)
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
     outcome = _execute(run, run_file.parent, folder, run_file.stem, effects, restart, output)
@@ -76,6 +76,7 @@ def fit_command(
     effect: FittedEffects = None,
     effects: Effects = None,
     seed: SeedOverride = None,
+    max_steps: MaxSteps = None,
     restart: Restart,
     plausibility: Plausibility,
     no_report: NoReport = False,
@@ -85,11 +86,11 @@ def fit_command(
     from cassini_bayes.pipeline.run_file import check_run
 
     if mission is not None:
-        if effect or effects or any(vars(plausibility).values()):
+        if effect or effects or max_steps or any(vars(plausibility).values()):
             raise InputError(
                 "--mission",
-                "no option about effects, plausibility or strictness beside it",
-                "one of --effect, --effects, --accept, --leave-out, --strict",
+                "no option about effects, steps, plausibility or strictness beside it",
+                "one of --effect, --effects, --max-steps, --accept, --leave-out, --strict",
                 "fit events of one branch with it, or leave it out",
             )
         fit_of_mission(mission, events, priors, source, out, seed, output)
@@ -105,12 +106,18 @@ def fit_command(
             "source": source,
             **plausibility.policy,
             "model": {"effects": effect or []},
-            "sampler": {} if seed is None else {"seed": seed},
+            "sampler": _sampler(seed, max_steps),
             "output": {"report": not no_report},
         },
         "command line",
     )
     _finish(_execute(run, Path(), out, out.name, effects, restart, output), plausibility, output)
+
+
+def _sampler(seed: int | None, max_steps: int | None) -> dict[str, int]:
+    """Settings of the sampler that the command line gives."""
+    given = {"seed": seed, "max_steps": max_steps}
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _execute(
@@ -152,7 +159,7 @@ def say_not_converged(folder: Path) -> None:
     """Where to see what is missing, and what to do, on standard error."""
     typer.echo(
         f"not converged: {folder / 'summary.csv'} lists R-hat and ESS of every scalar; "
-        "raise max_steps under [sampler] in a run file and run it with --force",
+        "give the command that made it --resume and a larger --max-steps",
         err=True,
     )
 

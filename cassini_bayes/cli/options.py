@@ -30,6 +30,14 @@ SeedOverride = Annotated[
         help="Random seed, in place of the file's or the default.",
     ),
 ]
+MaxSteps = Annotated[
+    int | None,
+    typer.Option(
+        "--max-steps",
+        min=100,
+        help="Steps after which sampling gives up, in place of the file's or the default.",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, max=LARGEST_SEED, help="Random seed.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable result on stdout.")]
 Quiet = Annotated[

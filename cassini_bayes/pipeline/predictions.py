@@ -270,8 +270,8 @@ def doubts(learned: Learned, within: Sequence[str], fit: Fit) -> tuple[str, ...]
     said += [f"the fit: {sentence}" for sentence in fit_warnings(fit)]
     if not stop_rule_held(fit):
         said.append(
-            "NOT CONVERGED: what was predicted is no result yet; raise max_steps under [sampler] "
-            "in the run file of the fit and run it with --force"
+            "NOT CONVERGED: what was predicted is no result yet; give the command that "
+            "made the fit --resume and a larger --max-steps"
         )
     return tuple(said)
 

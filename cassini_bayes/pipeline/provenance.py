@@ -25,7 +25,14 @@ DRAWN_BY: Final = ("pipeline.inputs", "results.fitting")
 """Modules whose code, with all that they import, the draws of a run depend on."""
 MOST_NAMED: Final = 4
 """Changes that a refusal names."""
-OF_OUTPUT: Final = ("output.folder", "output.prior_draws", "output.report")
+OF_LENGTH: Final = ("max_steps", "target_ess")
+"""Settings of the sampler that say how many draws there are, and change none of them."""
+NOT_OF_DRAWS: Final = (
+    "output.folder",
+    "output.prior_draws",
+    "output.report",
+    *(f"sampler.{name}" for name in OF_LENGTH),
+)
 """Settings that no draw depends on."""
 LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz", "xarray", "h5netcdf", "pandas", "corner")
 
@@ -83,7 +90,7 @@ def provenance_of(
         "accept": sorted(run.accept),
         "leave_out": run.leave_out,
         "model": run.model.model_dump(),
-        "sampler": run.sampler.model_dump(),
+        "sampler": run.sampler.model_dump(exclude=set(OF_LENGTH)),
         "draws_per_ensemble": run.output.draws_per_ensemble,
         "code": code_digest(*DRAWN_BY),
     }
@@ -179,7 +186,7 @@ def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     if not before:
         return []
     old, new = (_flat(table) for table in (before, after))
-    names = [name for name in {**new, **old} if name not in OF_OUTPUT]
+    names = [name for name in {**new, **old} if name not in NOT_OF_DRAWS]
     return [
         f"{name} = {new.get(name, 'not given')} (was {old.get(name, 'not given')})"
         for name in names

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from pydantic import Field
@@ -56,15 +58,18 @@ class RunFile(EventsTable):
     output: OutputTable = OutputTable()
 
 
-def read_run_file(path: Path) -> RunFile:
-    """Read and check a run file.
+def read_run_file(path: Path, sampler: Mapping[str, int] = MappingProxyType({})) -> RunFile:
+    """Read and check a run file; ``sampler`` has settings that are given in place of its own.
 
     Raises
     ------
     InputError
         Missing file, TOML syntax, unknown key (with the nearest one), wrong type or range.
     """
-    return check_run(read_toml(path, "a run file"), str(path))
+    table = read_toml(path, "a run file")
+    if sampler and isinstance(own := table.get("sampler", {}), Mapping):
+        table = {**table, "sampler": {**own, **sampler}}
+    return check_run(table, str(path))
 
 
 def is_resolved(path: Path) -> bool:

@@ -225,7 +225,8 @@ def sample(
         Student-t used to start the walkers and as the independence move.
     store
         Where finished blocks are kept. Blocks already there are taken as they are, and the run ends
-        with exactly the draws of an uninterrupted one.
+        with exactly the draws of an uninterrupted one. One that gave up may go on with more
+        ``max_steps``.
     more
         Asked once the rule holds; True asks for further blocks (a derived quantity needs them).
 
@@ -265,7 +266,8 @@ def sample(
         blocks.append(np.asarray(arrays["z"], dtype=np.float64))
         densities.append(np.asarray(arrays["log_density"], dtype=np.float64))
         accepted += np.asarray(arrays["accepted"], dtype=np.float64)
-        step, block = goal, block + 1
+        # a last block, cut short by a lower limit, is shorter than this run would make it
+        step, block = step + blocks[-1].shape[1], block + 1
         z = np.concatenate(blocks, axis=1)
         convergence = check_convergence(z, settings, tau)
         tau = convergence.autocorrelation_time

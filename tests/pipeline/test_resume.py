@@ -110,6 +110,22 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not [path for path in folder.rglob("*") if path.name.startswith(".")]
 
 
+def test_a_run_that_gave_up_goes_on(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """With more steps, and from those that it has: its draws are as they were."""
+    run_file = run_cases.write_run(tmp_path)
+    assert run_cases.command(["run", str(run_file), "--quiet"]) == 1
+    assert "--resume and a larger --max-steps" in capfd.readouterr().err
+    blocks = tmp_path / "small" / "checkpoint"
+    before = {path.name: path.read_bytes() for path in blocks.glob("block_*.npz")}
+    assert run_cases.command(["run", str(run_file), "--resume", "--max-steps", "120"]) == 1
+    fit = read_fit(tmp_path / "small" / "fit.nc")
+    assert fit.attributes["steps"] == 120
+    after = {path.name: path.read_bytes() for path in blocks.glob("block_*.npz")}
+    assert len(after) == len(before) + 1
+    assert before.items() <= after.items()
+    assert "max_steps = 120" in (tmp_path / "small" / "resolved.toml").read_text()
+
+
 def test_what_changed_is_not_resumed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

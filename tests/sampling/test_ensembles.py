@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import arviz
@@ -402,6 +403,19 @@ def test_the_limit_ends_a_run_that_has_not_converged(max_steps: int) -> None:
     assert reports[-1].step == max_steps
     assert reports[-1].failed == chains.convergence.failed
     assert all(report.steps_left > 0 and report.seconds_left > 0 for report in reports)
+
+
+def test_a_run_that_gave_up_goes_on_with_more_steps(tmp_path: Path) -> None:
+    """Its draws are the first ones of the longer run, and those of one that never gave up."""
+    store = CheckpointStore(tmp_path, "run")
+    long = replace(QUICK, target_ess=10**7, max_steps=150)
+    short = sample(gaussian, good_proposal(), replace(long, max_steps=70), store=store)
+    assert short.z.shape[1] == 70
+    went_on = sample(gaussian, good_proposal(), long, store=store)
+    at_once = sample(gaussian, good_proposal(), long)
+    assert went_on.z.tobytes() == at_once.z.tobytes()
+    assert went_on.log_density.tobytes() == at_once.log_density.tobytes()
+    assert np.array_equal(went_on.acceptance, at_once.acceptance)
 
 
 def test_blocks_are_taken_up_bit_for_bit(tmp_path: Path) -> None:
