@@ -164,6 +164,19 @@ def cells_of(file: str, text: str) -> Iterator[tuple[int, list[str]]]:
         ) from None
 
 
+def refuse_comment(where: str, header: Sequence[str]) -> None:
+    """Refuse a comment where the names of columns should stand.
+
+    Raises
+    ------
+    InputError
+        Quotes it.
+    """
+    if header and header[0].startswith("#"):
+        text, fix = ",".join(header), "delete the lines above the names"
+        raise InputError(where, "names of columns in the first line", f"the comment {text!r}", fix)
+
+
 def check_once(where: str, header: Sequence[str]) -> None:
     """Refuse a header that names a column twice.
 
@@ -180,6 +193,7 @@ def check_once(where: str, header: Sequence[str]) -> None:
 def _check_header(
     where: str, header: Sequence[str], columns: Sequence[str], needed: Collection[str]
 ) -> None:
+    refuse_comment(where, header)
     mark = next((own for own in ";\t|" if own in header[0]), "") if len(header) == 1 else ""
     if mark and len(columns) > 1:
         fix = "save the table as CSV with commas"

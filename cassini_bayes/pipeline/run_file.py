@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,16 @@ from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.spacecraft.pulses import shape_named
+
+
+OTHERS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "trend": ("a mission file", "give it to `trend`, or events to `fit --mission`"),
+        "truth": ("a scenario file", "give it to `simulate`"),
+        "parameters": ("a priors file", "give it to `fit EVENT... --priors`"),
+    }
+)
+"""Tables of files that are no run files, what has them, and what takes that."""
 
 
 class ModelTable(Table):
@@ -67,6 +77,9 @@ def read_run_file(path: Path, sampler: Mapping[str, int] = MappingProxyType({}))
         Missing file, TOML syntax, unknown key (with the nearest one), wrong type or range.
     """
     table = read_toml(path, "a run file")
+    for key, (what, fix) in OTHERS.items():
+        if key in table:
+            raise InputError(str(path), "a run file", what, fix)
     if sampler and isinstance(own := table.get("sampler", {}), Mapping):
         table = {**table, "sampler": {**own, **sampler}}
     return check_run(table, str(path))

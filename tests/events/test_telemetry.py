@@ -404,6 +404,14 @@ BAD_HEADERS = [
 ]
 
 
+def test_a_comment_above_the_names_is_refused(tmp_path: Path) -> None:
+    """It is no unknown column: what to delete is told."""
+    folder = write_event(tmp_path, bias_rows())
+    path = folder / "telemetry.csv"
+    path.write_text(f"# from tool X, version 2\n{path.read_text()}")
+    assert "got the comment '# from tool X,version 2'; delete the lines above" in refusal(folder)
+
+
 @pytest.mark.parametrize(("change", "fragments"), BAD_HEADERS)
 def test_a_bad_header_is_refused(tmp_path: Path, change: Change, fragments: list[str]) -> None:
     """Missing, unknown, misspelt columns, parts of a channel, idle wheels."""

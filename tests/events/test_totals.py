@@ -280,6 +280,10 @@ BAD_TABLES: dict[str, tuple[Callable[[Cells], Cells], list[str]]] = {
         lambda cells: [[*row, "x"] for row in cells],
         ["the unknown column 'x'", "drop it"],
     ),
+    "a comment first": (
+        lambda cells: [["# from tool X"], *cells],
+        ["line 1", "the comment '# from tool X'", "delete the lines above"],
+    ),
     "column twice": (lambda cells: [[*row, row[0]] for row in cells], ["'id' twice"]),
     "short row": (
         lambda cells: [*cells[:2], cells[2][:-1], *cells[3:]],

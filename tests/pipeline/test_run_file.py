@@ -170,3 +170,19 @@ def test_every_documented_key_is_accepted() -> None:
             assert {name: resolved[key][name] for name in value} == value
         else:
             assert resolved[key] == value
+
+
+@pytest.mark.parametrize(
+    ("path", "what", "fix"),
+    [
+        ("runs/cassini_mission.toml", "a mission file", "trend"),
+        ("runs/scenarios/fsds_2005.toml", "a scenario file", "simulate"),
+        ("priors/cassini_b_branch_2010.toml", "a priors file", "--priors"),
+    ],
+)
+def test_a_file_of_another_command_is_told_which(path: str, what: str, fix: str) -> None:
+    """And not that its tables are unknown keys."""
+    with pytest.raises(InputError, match="expected a run file") as caught:
+        read_run_file(Path(__file__).parents[2] / path)
+    assert caught.value.got == what
+    assert fix in caught.value.fix

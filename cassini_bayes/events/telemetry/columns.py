@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.files.cells import check_once
+from cassini_bayes.files.cells import check_once, refuse_comment
 from cassini_bayes.spacecraft import Spacecraft
 
 Kind = Literal["slew", "bias", "quiescent", "delta_v"]
@@ -162,6 +162,7 @@ def _check_names(
     known: Sequence[str],
     channels: Mapping[str, Sequence[str]],
 ) -> None:
+    refuse_comment(where, header)
     for i, name in enumerate(header):
         if name not in known:
             hint = suggestion(name, [o for o in known if o not in header] or known, channels)
