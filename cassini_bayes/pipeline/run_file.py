@@ -16,7 +16,6 @@ from cassini_bayes.files.validated import Table, validated
 from cassini_bayes.sampling.ensembles import SamplerSettings
 from cassini_bayes.spacecraft.pulses import shape_named
 
-
 OTHERS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     {
         "trend": ("a mission file", "give it to `trend`, or events to `fit --mission`"),
