@@ -29,27 +29,28 @@ from cassini_bayes.events.plausibility import (
     check_telemetry,
     check_totals,
     content_of_totals,
-    hypotheses,
+    likelier,
     momentum,
     refuse_duplicates,
 )
 from cassini_bayes.events.plausibility.cells import CellSearch
+from cassini_bayes.events.plausibility.evidence import Evidence, without_cut_pulses
 from cassini_bayes.events.plausibility.hypotheses import (
-    LIKELIER,
     SILENT,
-    Evidence,
-    Likelier,
     _is_sharp,
     _lies_along,
-    _of_shifts,
-    by_evidence,
     explanations,
+)
+from cassini_bayes.events.plausibility.likelier import (
+    LIKELIER,
+    Likelier,
+    by_evidence,
     likeliest,
     with_scaled_rates,
-    without_cut_pulses,
 )
 from cassini_bayes.events.plausibility.momentum import Correction
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
+from cassini_bayes.events.plausibility.shifts import of_shifts
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
 from cassini_bayes.events.plausibility.undone import of_wheels
 from cassini_bayes.events.plausibility.verdict import SUSPECT, Explanation
@@ -232,7 +233,7 @@ def test_rows_far_apart_are_asked_for_no_shift(honest: dict[str, Event]) -> None
     collected.add(TELEMETRY["times in ms"].change(chunk))
     nominal = Nominal.of(CASSINI, event.branch, event.wheels, NOMINAL, fires=True)
     evidence = Evidence(nominal, collected.motion(), collected.rows())
-    assert not list(_of_shifts(evidence, 1e9))
+    assert not list(of_shifts(evidence, 1e9))
 
 
 def evidence_of(event: TelemetryEvent, chunk: Chunk) -> Evidence:
@@ -302,7 +303,7 @@ def test_where_thrusters_fire_what_is_likelier_must_close_the_balance_better(
             Likelier(next(each for each in found if each.correction.wheel_jump), 2.0 * LIKELIER)
         ]
 
-    monkeypatch.setattr(hypotheses, "by_evidence", preferred)
+    monkeypatch.setattr(likelier, "by_evidence", preferred)
     for kind, mistakes in (("bias", []), ("slew", ["wheel-offset"])):
         event, chunk = honest[kind]
         found = likeliest(evidence_of(event, chunk), event.wheels, event.thrusters)

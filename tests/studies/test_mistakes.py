@@ -11,7 +11,7 @@ from study_cases import study_in
 from totals_cases import flight
 
 from cassini_bayes.events.plausibility import Nominal, momentum
-from cassini_bayes.events.plausibility.hypotheses import Evidence
+from cassini_bayes.events.plausibility.evidence import Evidence
 from cassini_bayes.events.plausibility.rows import RowCollector
 from cassini_bayes.events.plausibility.verdict import SUSPECT
 from cassini_bayes.model.nominal import nominal_values

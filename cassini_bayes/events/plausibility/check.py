@@ -13,21 +13,21 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import turns_rad
 from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
-from cassini_bayes.events.plausibility.hypotheses import (
-    AXES,
+from cassini_bayes.events.plausibility.evidence import (
     Evidence,
-    are_too_short,
     between_firings,
-    explanations,
-    likelier_rates,
-    likeliest,
-    with_noise_of_lags,
-    with_scaled_rates,
     with_swing,
     without_cut_pulses,
 )
+from cassini_bayes.events.plausibility.hypotheses import AXES, are_too_short, explanations
+from cassini_bayes.events.plausibility.likelier import (
+    likelier_rates,
+    likeliest,
+    with_scaled_rates,
+)
 from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
+from cassini_bayes.events.plausibility.shifts import with_noise_of_lags
 from cassini_bayes.events.plausibility.verdict import (
     PHYSICS,
     STRICT,

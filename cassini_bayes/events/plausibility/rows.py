@@ -39,6 +39,11 @@ class Rows(Motion):
     pulses: Array  # (n, K)
 
 
+def at_times(at_s: Array, time_s: Array, values: Array) -> Array:
+    """Values (n, c) of rows at other times (m,), linear between rows: (m, c)."""
+    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)
+
+
 class Thinned:
     """At most so many rows of a table, evenly spaced, however long it gets and however it comes."""
 
