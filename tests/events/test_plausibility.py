@@ -34,6 +34,7 @@ from cassini_bayes.events.plausibility import (
     refuse_duplicates,
 )
 from cassini_bayes.events.plausibility.cells import CellSearch
+from cassini_bayes.events.plausibility.departures import WIDTHS, Correction
 from cassini_bayes.events.plausibility.evidence import Evidence, without_cut_pulses
 from cassini_bayes.events.plausibility.hypotheses import (
     SILENT,
@@ -48,7 +49,6 @@ from cassini_bayes.events.plausibility.likelier import (
     likeliest,
     with_scaled_rates,
 )
-from cassini_bayes.events.plausibility.momentum import Correction
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.shifts import of_shifts
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, turning_of
@@ -415,7 +415,7 @@ def test_a_gain_is_that_of_the_evidence(honest: dict[str, Event], kind: str) -> 
         covariance = np.eye(len(departed)) + departed @ departed.T
         left = whole.flat @ target / noise
         volume = np.linalg.slogdet(covariance)[1]
-        price = np.log(level * momentum.WIDTHS["drift"] / momentum.USUAL_DRIFT) ** 2
+        price = np.log(level * WIDTHS["drift"] / momentum.USUAL_DRIFT) ** 2
         return float(left @ np.linalg.solve(covariance, left) + volume + price)
 
     def least(correction: Correction) -> float:

@@ -10,7 +10,7 @@ import pytest
 from study_cases import study_in
 from totals_cases import flight
 
-from cassini_bayes.events.plausibility import Nominal, momentum
+from cassini_bayes.events.plausibility import Nominal, departures
 from cassini_bayes.events.plausibility.evidence import Evidence
 from cassini_bayes.events.plausibility.rows import RowCollector
 from cassini_bayes.events.plausibility.verdict import SUSPECT
@@ -76,7 +76,7 @@ def test_cut_tails_are_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
         return Evidence(nominal, collected.motion(), collected.rows()).misfit()
 
     assert misfit() < SUSPECT
-    monkeypatch.setattr(momentum, "WIDTHS", {**momentum.WIDTHS, "cut": 1e-9})
+    monkeypatch.setattr(departures, "WIDTHS", {**departures.WIDTHS, "cut": 1e-9})
     assert misfit() > 3.0 * SUSPECT
 
 

@@ -8,11 +8,11 @@ from cassini_bayes.events.plausibility.check import (
     TelemetryCheck,
     check_telemetry,
 )
+from cassini_bayes.events.plausibility.departures import Nominal
 from cassini_bayes.events.plausibility.duplicates import (
     content_of_totals,
     refuse_duplicates,
 )
-from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.totals import check_totals
 from cassini_bayes.events.plausibility.verdict import MISTAKES, STRICT, MistakeError, Policy
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import body_to_inertial
-from cassini_bayes.events.plausibility.momentum import Nominal
+from cassini_bayes.events.plausibility.departures import Nominal
 from cassini_bayes.events.telemetry import Chunk
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 

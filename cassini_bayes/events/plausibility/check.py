@@ -13,6 +13,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import turns_rad
 from cassini_bayes.events.plausibility.cells import BadCell, CellSearch, without_cells
 from cassini_bayes.events.plausibility.counts import OnTimeSteps, PulseSteps
+from cassini_bayes.events.plausibility.departures import Nominal
 from cassini_bayes.events.plausibility.evidence import (
     Evidence,
     between_firings,
@@ -25,7 +26,6 @@ from cassini_bayes.events.plausibility.likelier import (
     likeliest,
     with_scaled_rates,
 )
-from cassini_bayes.events.plausibility.momentum import Nominal
 from cassini_bayes.events.plausibility.rows import Motion, RowCollector, Rows
 from cassini_bayes.events.plausibility.shifts import with_noise_of_lags
 from cassini_bayes.events.plausibility.verdict import (

@@ -11,14 +11,8 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.events.plausibility.cells import TAIL_S
-from cassini_bayes.events.plausibility.momentum import (
-    WIDTHS,
-    Correction,
-    Momentum,
-    MomentumFit,
-    Nominal,
-    momentum_of,
-)
+from cassini_bayes.events.plausibility.departures import WIDTHS, Correction, Nominal
+from cassini_bayes.events.plausibility.momentum import Momentum, MomentumFit, momentum_of
 from cassini_bayes.events.plausibility.rows import Motion, Rows, at_times
 from cassini_bayes.events.plausibility.turning import BY_CHANCE, INSTRUMENTS, Turning, turning_of
 

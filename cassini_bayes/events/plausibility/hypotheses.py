@@ -11,8 +11,8 @@ import numpy as np
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.plausibility.attitudes import CONVENTIONS
+from cassini_bayes.events.plausibility.departures import Correction
 from cassini_bayes.events.plausibility.evidence import Evidence
-from cassini_bayes.events.plausibility.momentum import Correction
 from cassini_bayes.events.plausibility.rows import Rows
 from cassini_bayes.events.plausibility.shifts import of_physical_lags, of_shifts
 from cassini_bayes.events.plausibility.turning import Turning

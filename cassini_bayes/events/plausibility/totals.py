@@ -18,13 +18,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.events.plausibility.departures import WIDTHS, Nominal
 from cassini_bayes.events.plausibility.hypotheses import impossible_units
-from cassini_bayes.events.plausibility.momentum import (
-    LEAST_IMPULSE,
-    WIDTHS,
-    Nominal,
-    vanishing,
-)
+from cassini_bayes.events.plausibility.momentum import LEAST_IMPULSE, vanishing
 from cassini_bayes.events.plausibility.undone import (
     FREE_PRICE,
     ORDER_PRICE,

@@ -10,14 +10,13 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.plausibility.momentum import (
+from cassini_bayes.events.plausibility.departures import (
     Correction,
     Nominal,
     exchanged,
     exchanges_of,
-    is_resting,
-    largest_jumps,
 )
+from cassini_bayes.events.plausibility.momentum import is_resting, largest_jumps
 from cassini_bayes.events.plausibility.rows import Rows
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
