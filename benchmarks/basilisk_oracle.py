@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from cassini_bayes.diagnosis.read import read_events
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, Policy
 from cassini_bayes.studies.blind.recorded import what_can_be_told
 
@@ -58,7 +59,11 @@ def main() -> int:
             print(f"{path.stem}: no telemetry was kept (--keep): left as it is", file=sys.stderr)
             continue
         began = time.monotonic()
-        record["oracle"] = told(record, folder)
+        try:
+            record["oracle"] = told(record, folder)
+        except InputError as refusal:
+            print(f"{path.stem}: {refusal}", file=sys.stderr)
+            continue
         part = path.with_suffix(".part")
         part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
         part.replace(path)
