@@ -332,6 +332,9 @@ BAD: list[tuple[dict[str, Any], list[str]]] = [
     (changed("rate", kind="per_interval"), ["channels.rate.kind", "on_time"]),
     (changed("rate", scale=0.0), ["channels.rate.scale"]),
     (changed("pulses", negate=True), ["channels.pulses.negate"]),
+    (changed("pulses", wraps_at=256.0), ["channels.pulses.wraps_at", "that count up"]),
+    (changed("rate", wraps_at=256.0), ["channels.rate.wraps_at", "on_time and pulses"]),
+    (changed("on_time", kind="cumulative", wraps_at=0), ["channels.on_time.wraps_at"]),
     (changed("on_time", offset=1.0), ["channels.on_time.offset"]),
     (changed("time", unit="s"), ["channels.time.unit", "no date"]),
     (changed("time", time_system="tai"), ["channels.time.time_system", "julian_date"]),
@@ -386,6 +389,26 @@ def test_a_counter_of_the_wrong_kind_is_told_by_the_key_of_its_map(tmp_path: Pat
     hint = r'write kind = "per_interval" in .*channels\.toml: channels\.on_time if'
     with pytest.raises(InputError, match=hint):
         load_event(read_event(folder, CASSINI), CASSINI)
+
+
+def test_a_map_says_where_a_counter_wraps(tmp_path: Path) -> None:
+    """In the unit of the column: at no usual size. Another size is not believed, nor none."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    for name in THRUSTERS:
+        frame[f"T_{name}"] = (1000.0 * own[f"on_time_{name}_s"] + 1900.0) % 2500.0
+    kept: dict[str, Any] = {"kind": "cumulative"}
+    for place, size in (("right", 2500.0), ("wrong", 5000.0), ("unsaid", None)):
+        keys = kept if size is None else {**kept, "wraps_at": size}
+        folder = folder_of(tmp_path / place, "data.csv", changed("on_time", **keys), frame)
+        if place == "right":
+            read = load_event(read_event(folder, CASSINI), CASSINI).on_time_s
+            gained = own[[f"on_time_{name}_s" for name in THRUSTERS]].to_numpy()
+            np.testing.assert_allclose(read - read[0], gained, atol=1e-9)
+            continue
+        expected = "than 5 s" if size else "than a usual one"
+        with pytest.raises(InputError, match=f"wraps at another size {expected}.*say wraps_at in"):
+            load_event(read_event(folder, CASSINI), CASSINI)
 
 
 @pytest.mark.parametrize("wheels", [(1, 2, 4), np.array([1, 2, 4])])

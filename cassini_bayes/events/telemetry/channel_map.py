@@ -66,6 +66,7 @@ class ChannelTable(Table):
     order: Literal["xyzw", "wxyz"] | None = None
     direction: Literal["inertial_to_body", "body_to_inertial"] | None = None
     kind: Literal["cumulative", "per_interval"] | None = None
+    wraps_at: float | None = Field(None, gt=0.0, allow_inf_nan=False)
     time_system: TimeSystem | None = None
     epoch: Any = None
 
@@ -92,6 +93,16 @@ class ChannelMap:
         """Whether a counter, or one of its columns by its own key, counts anew in every row."""
         keys = [key for key in (channel, *columns) if key in self.channels]
         return any(self.channels[key].kind == "per_interval" for key in keys)
+
+    def wraps_at(self, channel: str, columns: Iterable[str] = ()) -> float | None:
+        """Where a counter, or one of its columns by its own key, starts again at 0, in our unit."""
+        for key in (channel, *columns):
+            table = self.channels.get(key)
+            if table is not None and table.wraps_at is not None:
+                unit, ours = table.unit or UNITS[channel], UNITS[channel]
+                factor = factor_to(unit, ours, f"{self.where}: channels.{key}.unit")
+                return table.wraps_at * factor * _scale_and_offset(table)[0]
+        return None
 
     def other_kind(self, channel: str, column: str) -> str:
         """Where the file says how a counter's column counts, and what it may have to say."""
@@ -219,6 +230,12 @@ def _check_keys(channel: str, key: str, table: ChannelTable, where: str) -> None
         ("order", table.order, whole, of_whole),
         ("direction", table.direction, whole, of_whole),
         ("kind", table.kind, channel in COUNTERS, f"of {', '.join(COUNTERS)}"),
+        (
+            "wraps_at",
+            table.wraps_at,
+            channel in GROWING and table.kind != "per_interval",
+            f"of {' and '.join(GROWING)} that count up",
+        ),
         ("time_system", table.time_system, channel == "time", "of the time"),
         ("epoch", table.epoch, elapsed, "of a time that has elapsed since then"),
         ("negate", table.negate or None, channel not in ("time", *GROWING), "of what has a sign"),

@@ -58,7 +58,9 @@ class Counter:
         self._steepest = np.zeros(size)  # largest growth from one sample to the next
         # steps of which all that was gained is a multiple; pulses are whole numbers anyway
         self._grids: tuple[float, ...] = _GRIDS if channel == "on_time" else ()
-        self._size: float | None = None  # where the counters wrap, once one did
+        # where the counters wrap: as the map says, else once one did
+        names = [ours_of(layout.header[column]) for column in self._columns]
+        self._size = None if channel_map is None else channel_map.wraps_at(channel, names)
 
     def checked(self, block: Block) -> Array:
         """Counts (n, K) with wraps undone, NaN where not sampled."""
@@ -118,9 +120,9 @@ class Counter:
                     row,
                     column,
                     f"a cumulative count of at least {before:.10g} {self._unit}",
-                    "it was reset or misread, or wraps at a size that is none of the usual ones or"
-                    " not the only one: add what was counted before, or split the event there;"
-                    f" {self._other_kind(block.header[column])}",
+                    f"it was reset or misread, or wraps at another size{self._as_stated()}: add"
+                    " what was counted before, split the event there, or say wraps_at in a channel"
+                    f" map; {self._other_kind(block.header[column])}",
                     f"{now:.10g}",
                 )
             self._size = size
@@ -132,6 +134,12 @@ class Counter:
                 f" {self._unit}, which was added",
             )
         return jumps
+
+    def _as_stated(self) -> str:
+        """What a fall was compared with."""
+        if self._size is None:
+            return " than a usual one, or several of these would do"
+        return f" than {self._size:.10g} {self._unit}"
 
     def _wrap_size(self, before: float, now: float, seen: float, step_s: float) -> float | None:
         """The one size that explains a drop by a growth like those seen; None if none or two do."""
@@ -166,7 +174,7 @@ class Counter:
                 )
 
     def _counts_anew(self, block: Block) -> bool:
-        names = (block.header[column].partition(" (from")[0] for column in self._columns)
+        names = [ours_of(block.header[column]) for column in self._columns]
         return self._map is not None and self._map.is_per_interval(self._channel, names)
 
     def _check_gaps(self, block: Block, rows: Rows, step_s: Array) -> None:
@@ -198,7 +206,12 @@ class Counter:
     def _other_kind(self, name: str) -> str:
         if self._map is None:
             return 'counts per interval need a channel map with kind = "per_interval"'
-        return self._map.other_kind(self._channel, name.partition(" (from")[0])
+        return self._map.other_kind(self._channel, ours_of(name))
+
+
+def ours_of(name: str) -> str:
+    """Our name of a column, without that of the column that it is made from."""
+    return name.partition(" (from")[0]
 
 
 def are_multiples(values: Array | float, step: float) -> bool:
