@@ -13,9 +13,11 @@ from typing import Any, Final
 import pytest
 
 from cassini_bayes.diagnosis.events import Events
+from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 from cassini_bayes.studies.blind.recorded import path_to, what_can_be_told
+from cassini_bayes.studies.blind.sizes import size_on
 
 DATA: Final = Path(__file__).parents[1] / "data" / "basilisk"
 MUTUAL: Final = 0.25
@@ -79,3 +81,22 @@ def test_a_path_has_the_values_at_size_one() -> None:
     warm = {"warmup_deficit": 0.1, "warmup_time_s": 4.0}
     path = path_to(catalogue.effect("thrust_warmup"), warm, flown)
     assert path.constant == {"warmup_time_s": 4.0}
+
+
+@pytest.mark.parametrize(("name", "least"), [("inertia:xx", 6.5), ("inertia:xz", 6.0)])
+def test_what_slews_tell_very_well_is_sized_right(name: str, least: float) -> None:
+    """Data tell the sum of a departure and its parameter, and nothing beyond the parameter's prior.
+
+    A departure of seven of its standard deviations has 7 σ at most. Moments of inertia are known
+    far better than the step in a departure by which that is found out is long.
+    """
+    own, truth = recording("misaligned-thruster", "3-slew")
+    effect, flown = own.catalogue.effect(name), truth["parameters"]
+    (parameter,) = effect.parameters
+    space = none_hypothesis(own).model.space
+    prior = space.distributions[space.names.index(parameter.baseline)]
+    # the slew is as it was flown: what is hidden in this recording acts in its biases
+    value = flown[parameter.baseline]
+    without = {**flown, parameter.baseline: value - 7.0 * prior.sd()}
+    size = size_on(own, path_to(effect, {parameter.key: value}, without), 1.0)
+    assert least < size <= 7.0

@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from cassini_bayes.diagnosis.events import Events
-from cassini_bayes.diagnosis.hypotheses import compact, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import FARTHEST, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import highest_mode
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.errors import InputError
@@ -20,6 +22,8 @@ from cassini_bayes.studies.blind.sizes import NULL_VALUES, Growth, size_on
 
 LATE: Final = "time_offset"
 """Its size needs the flight without noise (:mod:`cassini_bayes.studies.blind.shift`)."""
+NEAR: Final = 0.9
+"""Of the farthest that a baseline goes: nearer to that it is no mode to be linear about."""
 LEAK: Final = "thruster_leak"
 STEADY: Final = "external_torque"
 
@@ -31,7 +35,8 @@ class Told:
     ``sigma``: None of late records, of what has to be searched for, and of leaks where nothing
     fires.
     ``group``: the effect, and up to three causes that are as likely on the data that it has on
-    average; of an oscillation itself alone.
+    average. Itself alone of an oscillation, and where the baseline without it goes as far as it
+    may: nothing is told from there.
     """
 
     sigma: float | None
@@ -68,8 +73,10 @@ def what_can_be_told(
         return Told(None, (name,))
     none = compact(none_hypothesis(events))
     base = highest_mode(none.log_density, none.model.starts)
-    size = sizes_of(effect, values, truth)
-    group = likelihood_classifier(events, base, values).group(name, size)
+    group: tuple[str, ...] = (name,)
+    if np.abs(base.point).max() < NEAR * FARTHEST:
+        size = sizes_of(effect, values, truth)
+        group = likelihood_classifier(events, base, values).group(name, size)
     if kind == LATE:
         return Told(None, group)
     return Told(size_on(events, path_to(effect, values, truth), 1.0), group)

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, compact, none_hypothesis
@@ -146,17 +147,21 @@ def sensitivity(events: Events, base: Mode, path: Growth, at: float = 0.0) -> fl
     That is zero on data without the effect; ``base`` is the baseline's mode there.
     """
     none = none_hypothesis(events)
-    values = [_marginal(none, base, path, at + s) for s in (SHIFT, 0.0, -SHIFT)]
+    values = [_marginal(none, base, path, at, s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
 
-def _marginal(none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
-    """Log marginal density at a fixed effect, the nuisances integrated out about the mode."""
-    hypothesis = held(none, path.effect, path.values(s))
+def _marginal(none: Hypothesis, base: Mode, path: Growth, at: float, shift: float) -> float:
+    """Log marginal density at a fixed effect, the nuisances integrated out about the mode.
+
+    ``base`` is the mode where the effect has the size ``at``. Data tell the sum of a departure and
+    its parameter, often far better than the departure moves: what it gains the parameter loses.
+    """
+    hypothesis = held(none, path.effect, path.values(at + shift))
     moves = STEP * base.factor.T
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
-    point, d = base.point, len(base.point)
+    point, d = base.point - shift * _taken_up(none, path), len(base.point)
     for _ in range(NEWTON_STEPS):
         values = hypothesis.log_density(point + offsets)
         gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
@@ -164,6 +169,18 @@ def _marginal(none: Hypothesis, base: Mode, path: Growth, s: float) -> float:
     values = hypothesis.log_density(point + offsets)
     gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
     return float(values[0] + 0.5 * gradient @ gradient)
+
+
+def _taken_up(none: Hypothesis, path: Growth) -> Array:
+    """Standard values (d,) of the baseline's parameters that departures add per unit of s."""
+    space = none.model.space
+    result = np.zeros(len(space.names))
+    for parameter in path.effect.parameters:
+        if parameter.is_departure and parameter.baseline in space.names:
+            place = space.names.index(parameter.baseline)
+            added = path.direction.get(parameter.key, 0.0)
+            result[place] = added / space.distributions[place].sd()
+    return result
 
 
 def hide(path: Growth, s: float, truth: Mapping[str, float], sigma: float) -> Hidden | None:
