@@ -175,7 +175,7 @@ def test_late_records_show_nothing_up_to_a_control_cycle_and_then_much() -> None
     below, still, above = (hidden.sigma for hidden in sizes if hidden is not None)
     assert max(below, still) < 1.0
     assert above > 7.0
-    assert 0.06 * sensitivity(events, on.base, path, SEEN_AT["time_offset"]) > 1.5
+    assert 0.06 * sensitivity(events, on.base, path, beside=SEEN_AT["time_offset"]) > 1.5
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.4])

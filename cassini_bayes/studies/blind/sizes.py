@@ -141,13 +141,16 @@ def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     return Growth(effect, direction, constant)
 
 
-def sensitivity(events: Events, base: Mode, path: Growth, at: float = 0.0) -> float:
+def sensitivity(
+    events: Events, base: Mode, path: Growth, at: float = 0.0, beside: float = 0.0
+) -> float:
     """σ per unit of s along a path, by the curvature of the marginal likelihood at a size.
 
-    That is zero on data without the effect; ``base`` is the baseline's mode there.
+    ``base`` is the baseline's mode with the effect at size ``at``, zero on data without it. The
+    curvature is taken so much ``beside`` that.
     """
     none = none_hypothesis(events)
-    values = [_marginal(none, base, path, at, s) for s in (SHIFT, 0.0, -SHIFT)]
+    values = [_marginal(none, base, path, at, beside + s) for s in (SHIFT, 0.0, -SHIFT)]
     bend = float((2.0 * values[1] - values[0] - values[2]) / SHIFT**2)
     return float(np.sqrt(bend)) if bend > 0 else 0.0
 
@@ -273,9 +276,9 @@ def sized_between(
         return _flexible(stage, effect, (float(rng.uniform(low, high)), (low, high)), rng)
     path = draw_path(effect, rng)
     # over conditions beside none: a kinked effect has no curvature there
-    at = 0.0 if stage.scene.condition is None else BESIDE_NONE
-    at = SEEN_AT.get(effect.kind.name, at)
-    rate = sensitivity(stage.events, stage.base, path, at)
+    beside = 0.0 if stage.scene.condition is None else BESIDE_NONE
+    beside = SEEN_AT.get(effect.kind.name, beside)
+    rate = sensitivity(stage.events, stage.base, path, beside=beside)
     if rate <= 0.0 or low / rate > LARGEST_IN_PRIOR_SCALES:
         return None
     size = chi(len(path.direction))

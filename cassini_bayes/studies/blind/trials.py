@@ -102,7 +102,7 @@ def is_seen(set_up: Stage, effect: Effect, rng: np.random.Generator) -> bool:
     if set_up.fires or effect.kind.search is not None:
         return True
     path = draw_path(effect, rng)
-    return sensitivity(set_up.events, set_up.base, path, BESIDE_NONE) > LEAST_SEEN
+    return sensitivity(set_up.events, set_up.base, path, beside=BESIDE_NONE) > LEAST_SEEN
 
 
 def trial(campaign: Blind, index: int, priors: Priors | None = None) -> dict[str, Any]:
