@@ -13,32 +13,32 @@ It needs the package's environment and no Basilisk.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+
+from closed_loop import answers, trials
 
 from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, Policy
-from cassini_bayes.studies.blind.recorded import what_can_be_told
+from cassini_bayes.studies.blind.recorded import Told, what_can_be_told
 
 UNNAMED = "uncatalogued"
 
 
-def is_asked(record: dict[str, Any]) -> bool:
+def is_asked(record: answers.Record) -> bool:
     """Whether a trial hides one catalogued effect and has not been asked about yet."""
     return "oracle" not in record and len(record["hidden"]) == 1 and record["stratum"] != UNNAMED
 
 
-def told(record: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """What the oracle says of a trial, for its record."""
+def told(record: answers.Record, folder: Path) -> Told:
+    """What the oracle says of a trial."""
     hidden = record["hidden"][0]
     flown = [str(folder / f"{i + 1}-{e}") for i, e in enumerate(record["conditions"]["events"])]
     events = read_events(flown, folder / "priors.toml", policy=Policy(frozenset(MISTAKES)))
-    answer = what_can_be_told(events, hidden["name"], hidden["parameters"], record["baseline"])
-    return {"sigma": answer.sigma, "group": list(answer.group)}
+    return what_can_be_told(events, hidden["name"], hidden["parameters"], record["baseline"])
 
 
 def main() -> int:
@@ -46,33 +46,30 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the trials")
     out = parser.parse_args().out
-    paths = sorted(out.glob("[0-9]*.json"))
-    if not paths:
+    records = answers.read(out)
+    if not records:
         print(f"no trials in {out}: expected numbered JSON files of --trials", file=sys.stderr)
         return 1
-    for path in paths:
-        record = json.loads(path.read_text("utf-8"))
-        folder = out / path.stem / "record"
-        if not is_asked(record):
-            continue
+    for record in filter(is_asked, records):
+        name = f"{record['index']:05d}"
+        folder = out / name / "record"
         if not folder.is_dir():
-            print(f"{path.stem}: no telemetry was kept (--keep): left as it is", file=sys.stderr)
+            print(f"{name}: no telemetry was kept (--keep): left as it is", file=sys.stderr)
             continue
         began = time.monotonic()
         try:
-            record["oracle"] = told(record, folder)
+            answer = told(record, folder)
         except InputError as refusal:
-            print(f"{path.stem}: {refusal}", file=sys.stderr)
+            print(f"{name}: {refusal}", file=sys.stderr)
             continue
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
-        part.replace(path)
+        trials.write({**record, "oracle": asdict(answer)}, out / f"{name}.json")
         hidden = record["hidden"][0]
-        sigma, own = record["oracle"]["sigma"], hidden["sigma"]
-        size = "no size of its own" if sigma is None else f"{sigma:.1f} σ"
-        group = ", ".join(record["oracle"]["group"])
+        size = "no size of its own" if answer.sigma is None else f"{answer.sigma:.1f} σ"
         spent = time.monotonic() - began
-        print(f"{path.stem} {hidden['name']} ({own:.1f} σ): {size}; {group}; in {spent:.0f} s")
+        print(
+            f"{name} {hidden['name']} ({hidden['sigma']:.1f} σ): {size}; "
+            f"{', '.join(answer.group)}; in {spent:.0f} s"
+        )
     return 0
 
 

@@ -110,12 +110,17 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
 
 
 def _keep(record: Mapping[str, Any], path: Path, log: Callable[[str], None]) -> None:
-    """Write a trial's record whole or not at all, and say it in a line."""
+    """Write a trial's record, and say it in a line."""
+    write(record, path)
+    log(line(record))
+
+
+def write(record: Mapping[str, Any], path: Path) -> None:
+    """Write a trial's record whole or not at all."""
     part = path.with_suffix(".part")
     part.parent.mkdir(parents=True, exist_ok=True)
     part.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     part.replace(path)
-    log(line(record))
 
 
 def choose(

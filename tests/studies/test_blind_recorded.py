@@ -16,8 +16,8 @@ from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
 from cassini_bayes.diagnosis.read import read_events
 from cassini_bayes.errors import InputError
-from cassini_bayes.studies.blind.recorded import path_to, what_can_be_told
-from cassini_bayes.studies.blind.sizes import size_on
+from cassini_bayes.studies.blind.recorded import what_can_be_told
+from cassini_bayes.studies.blind.sizes import path_to, size_on
 
 DATA: Final = Path(__file__).parents[1] / "data" / "basilisk"
 MUTUAL: Final = 0.25

@@ -93,13 +93,15 @@ def reduce_chunks(
         at_readings += int((chunk.has_state & chunk.has_counters).sum())
         interval = interval or counter_interval(chunk)
     if used < LEAST_ROWS:
-        blocks = f" means over {sampling.block_s:g} s, of {at_readings} rows at readings"
+        blocks = ""
+        if sampling.block_s > 0.0:
+            blocks = f" means over {sampling.block_s:g} s, of {at_readings} rows at readings"
         raise InputError(
             f"event {event_id}: telemetry",
             f"at least {LEAST_ROWS} rows with attitude, body rates and wheel rates at one time, "
             f"none within {sampling.guard_s:.2f} s of a firing, "
             "or as many means over rows at readings of the counters",
-            f"{used}{blocks if sampling.block_s > 0.0 else ''}",
+            f"{used}{blocks}",
             "give more telemetry, or the counters at a faster rate",
         )
     averaged = at_readings / used if sampling.block_s > 0.0 else 1.0

@@ -59,8 +59,9 @@ class Counter:
         # steps of which all that was gained is a multiple; pulses are whole numbers anyway
         self._grids: tuple[float, ...] = _GRIDS if channel == "on_time" else ()
         # where the counters wrap: as the map says, else once one did
-        names = [ours_of(layout.header[column]) for column in self._columns]
-        self._size = None if channel_map is None else channel_map.wraps_at(channel, names)
+        self._names = layout.names(channel)
+        self._size = None if channel_map is None else channel_map.wraps_at(channel, self._names)
+        self._anew = channel_map is not None and channel_map.is_per_interval(channel, self._names)
 
     def checked(self, block: Block) -> Array:
         """Counts (n, K) with wraps undone, NaN where not sampled."""
@@ -75,7 +76,7 @@ class Counter:
         growth = np.diff(values, axis=1, prepend=first[:, None])
         step_s = np.diff(time, prepend=start)
         self._last = (float(time[-1]), values[:, -1].copy())
-        if self._counts_anew(block):
+        if self._anew:
             self._check_gaps(block, rows, step_s)
         if self._channel == "on_time":
             self._check_pace(block, rows, growth, step_s)
@@ -122,7 +123,7 @@ class Counter:
                     f"a cumulative count of at least {before:.10g} {self._unit}",
                     f"it was reset or misread, or wraps at another size{self._as_stated()}: add"
                     " what was counted before, split the event there, or say wraps_at in a channel"
-                    f" map; {self._other_kind(block.header[column])}",
+                    f" map; {self._other_kind(k)}",
                     f"{now:.10g}",
                 )
             self._size = size
@@ -173,10 +174,6 @@ class Counter:
                     f"up to {highest:.10g}",
                 )
 
-    def _counts_anew(self, block: Block) -> bool:
-        names = [ours_of(block.header[column]) for column in self._columns]
-        return self._map is not None and self._map.is_per_interval(self._channel, names)
-
     def _check_gaps(self, block: Block, rows: Rows, step_s: Array) -> None:
         """A row that is missing among others has counts that nobody knows."""
         before, after = step_s[:-1], np.append(step_s[2:], step_s[-2:-1])
@@ -198,20 +195,14 @@ class Counter:
                 f"an on-time that grows by at most the {step_s[i]:.6g} s since its last sample",
                 "check the unit (s, not ms) and that it belongs to one thruster only"
                 if self._map is None
-                else f"{self._other_kind(block.header[self._columns[k]])}; or correct unit or"
-                " source there",
+                else f"{self._other_kind(k)}; or correct unit or source there",
                 f"a growth by {growth[k, i]:.6g} s",
             )
 
-    def _other_kind(self, name: str) -> str:
+    def _other_kind(self, k: int) -> str:
         if self._map is None:
             return 'counts per interval need a channel map with kind = "per_interval"'
-        return self._map.other_kind(self._channel, ours_of(name))
-
-
-def ours_of(name: str) -> str:
-    """Our name of a column, without that of the column that it is made from."""
-    return name.partition(" (from")[0]
+        return self._map.other_kind(self._channel, self._names[k])
 
 
 def are_multiples(values: Array | float, step: float) -> bool:

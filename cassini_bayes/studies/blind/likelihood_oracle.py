@@ -30,6 +30,7 @@ from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.sampling.warmstart import hessian
 from cassini_bayes.studies.blind.oracle import KINK, KINKED, Classifier, about_null, side_of
+from cassini_bayes.studies.blind.sizes import taken_up
 
 STEP: Final = 0.2  # of the axes' lengths: rounding of 1e-6 nats is 2.5e-5 of a curvature of one
 PROBE: Final = 2e-3  # prior scales, for the lengths
@@ -88,12 +89,9 @@ def _ridges(joint: Hypothesis, d: int) -> Array:
     moves = np.zeros((len(space.names), len(space.names) - d))
     moves[d:] = np.eye(len(space.names) - d)
     of_effects = [p for effect in joint.effects for p in effect.parameters]
-    scales = {p.name: (p.baseline, p.distribution.scale) for p in of_effects if p.is_departure}
+    added = {p.name: {p.baseline: p.distribution.scale} for p in of_effects if p.is_departure}
     for column, name in enumerate(space.names[d:]):
-        key, scale = scales.get(name, ("", 0.0))
-        if key in space.names[:d]:
-            place = space.names.index(key)
-            moves[place, column] = -scale / space.distributions[place].sd()
+        moves[:, column] -= taken_up(space, added.get(name, {}))
     return moves
 
 

@@ -35,7 +35,7 @@ from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.studies.blind.oscillations import hidden_oscillation
 from cassini_bayes.studies.blind.rate_information import RATE_KINDS, combined, rate_information
-from cassini_bayes.studies.blind.sizes import NULL_VALUES
+from cassini_bayes.studies.blind.sizes import NULL_VALUES, path_to
 
 KINKED: Final = ("pulse_shape", "time_offset")
 """Kinds whose change of the data has another direction on each side of zero."""
@@ -182,13 +182,9 @@ def sizes_of(effect: Effect, values: Mapping[str, float], truth: Mapping[str, fl
     """A hidden effect's parameters in prior scales, as the classifier's columns count them."""
     if effect.kind.search is not None:
         values = hidden_oscillation(values)[1]
+    sizes = path_to(effect, values, truth).direction
     return np.array(
-        [
-            (values[p.key] - (truth[p.baseline] if p.is_departure else _null(p.key)))
-            / p.distribution.scale
-            for p in effect.parameters
-            if p.distribution.name != "lognorm"
-        ]
+        [sizes[p.key] / p.distribution.scale for p in effect.parameters if p.key in sizes]
     )
 
 

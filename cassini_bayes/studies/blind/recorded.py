@@ -14,11 +14,10 @@ import numpy as np
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.hypotheses import FARTHEST, compact, none_hypothesis
 from cassini_bayes.diagnosis.modes import highest_mode
-from cassini_bayes.effects.effect import Effect
-from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import check_known
 from cassini_bayes.studies.blind.likelihood_oracle import likelihood_classifier
 from cassini_bayes.studies.blind.oracle import sizes_of
-from cassini_bayes.studies.blind.sizes import NULL_VALUES, Growth, size_on
+from cassini_bayes.studies.blind.sizes import path_to, size_on
 
 LATE: Final = "time_offset"
 """Its size needs the flight without noise (:mod:`cassini_bayes.studies.blind.shift`)."""
@@ -63,8 +62,7 @@ def what_can_be_told(
         No cause of these events is called that.
     """
     kind = name.partition(":")[0]
-    if name not in events.catalogue.names:
-        raise InputError(name, f"one of {', '.join(events.catalogue.names)}", name, "name another")
+    check_known(name, name, events.catalogue.names)
     if kind == LEAK and not any(event.fires for event in events.telemetry):
         # what knows no thrusters sees the torque of a leak, which is steady in body axes
         return Told(None, (name, STEADY))
@@ -80,17 +78,3 @@ def what_can_be_told(
     if kind == LATE:
         return Told(None, group)
     return Told(size_on(events, path_to(effect, values, truth), 1.0), group)
-
-
-def path_to(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Growth:
-    """The way of an effect to these values: it has them at size 1."""
-    direction, constant = {}, {}
-    for parameter in effect.parameters:
-        value = float(values[parameter.key])
-        if parameter.distribution.name == "lognorm":
-            constant[parameter.key] = value
-        elif parameter.is_departure:
-            direction[parameter.key] = value - truth[parameter.baseline]
-        else:
-            direction[parameter.key] = value - NULL_VALUES.get(parameter.key, 0.0)
-    return Growth(effect, direction, constant)

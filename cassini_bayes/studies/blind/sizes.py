@@ -24,6 +24,7 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.line_shapes import SIZES
 from cassini_bayes.effects.oscillation import FASTEST
 from cassini_bayes.errors import InputError
+from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.simulation import Truth
 from cassini_bayes.studies.blind.flights import PHASE_STEP, Hidden, Scene
 from cassini_bayes.studies.blind.oscillations import hidden_line, hidden_oscillation
@@ -131,9 +132,24 @@ def draw_path(effect: Effect, rng: np.random.Generator) -> Growth:
 
 def draw_from_prior(effect: Effect, rng: np.random.Generator) -> Growth:
     """Values drawn from the catalogue's priors: they are those at s = 1."""
+    drawn = {p.key: float(p.distribution.sample(rng, 1)[0]) for p in effect.parameters}
+    return _through(effect, drawn)
+
+
+def path_to(effect: Effect, values: Mapping[str, float], truth: Mapping[str, float]) -> Growth:
+    """The way of an effect to values as they are flown, beside the truth without it, at s = 1."""
+    departures = {
+        p.key: float(values[p.key]) - (truth[p.baseline] if p.is_departure else 0.0)
+        for p in effect.parameters
+    }
+    return _through(effect, departures)
+
+
+def _through(effect: Effect, values: Mapping[str, float]) -> Growth:
+    """The way of an effect through values (departures or values, by key), which it has at s = 1."""
     direction, constant = {}, {}
     for parameter in effect.parameters:
-        value = float(parameter.distribution.sample(rng, 1)[0])
+        value = values[parameter.key]
         if parameter.distribution.name == "lognorm":
             constant[parameter.key] = value
         else:
@@ -164,7 +180,8 @@ def _marginal(none: Hypothesis, base: Mode, path: Growth, at: float, shift: floa
     hypothesis = held(none, path.effect, path.values(at + shift))
     moves = STEP * base.factor.T
     offsets = np.vstack([0.0 * moves[:1], moves, -moves])
-    point, d = base.point - shift * _taken_up(none, path), len(base.point)
+    added = {p.baseline: path.direction[p.key] for p in path.effect.parameters if p.is_departure}
+    point, d = base.point - shift * taken_up(none.model.space, added), len(base.point)
     for _ in range(NEWTON_STEPS):
         values = hypothesis.log_density(point + offsets)
         gradient = (values[1 : d + 1] - values[d + 1 :]) / (2.0 * STEP)
@@ -174,15 +191,13 @@ def _marginal(none: Hypothesis, base: Mode, path: Growth, at: float, shift: floa
     return float(values[0] + 0.5 * gradient @ gradient)
 
 
-def _taken_up(none: Hypothesis, path: Growth) -> Array:
-    """Standard values (d,) of the baseline's parameters that departures add per unit of s."""
-    space = none.model.space
+def taken_up(space: ParameterSpace, added: Mapping[str, float]) -> Array:
+    """What is added to parameters by name, in standard values (d,); some may not be walked."""
     result = np.zeros(len(space.names))
-    for parameter in path.effect.parameters:
-        if parameter.is_departure and parameter.baseline in space.names:
-            place = space.names.index(parameter.baseline)
-            added = path.direction.get(parameter.key, 0.0)
-            result[place] = added / space.distributions[place].sd()
+    for name, value in added.items():
+        if name in space.names:
+            place = space.names.index(name)
+            result[place] = value / space.distributions[place].sd()
     return result
 
 
