@@ -11,6 +11,8 @@ they show (docs/topics/telemetry-likelihood.md §11).
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -26,6 +28,7 @@ WINDOW: Final = 8  # rows on either side; a wheel that gains a step between thei
 # rests; more than that is noise of half a step and more, which leaves nothing of a rounding.
 DITHERED: Final = 0.3
 LEAST_DRIFT: Final = 2 * WINDOW  # rows at rest for every cosine that tells slow motion
+LEAST_PAUSE: Final = 3.0  # of a pause's length over that of the values on either side of it
 LINES: Final = (8, 16, 32, 64, 128)  # rows on either side of a straight line through readings
 LEAST_GAIN: Final = 3.0  # steps along a line: with fewer it follows the staircase, not the wheel
 LEAST_LIKE: Final = 0.5  # ratio of slopes of a line's halves, for a wheel that is driven evenly
@@ -91,11 +94,12 @@ def rests(time_s: Array, levels: Array) -> Rests:
     """Where a wheel whose printed rates at times (r,) are whole numbers (r,) of steps rests.
 
     It moves where it gains a step over the window or is driven evenly (:func:`between_steps`), or
-    passes through a printed value: comes from one side and leaves on the other, for good. Readings
-    that change to and fro are one stretch at rest, and scatter by half the mean square of their
-    differences. Half a reading of another value is added (Jeffreys' prior of a rare event): n
-    readings alike do not say that there is no noise. Where they scatter by more than two values can
-    (:data:`DITHERED`), rounding is white in all rows, as in one that moves.
+    passes through a printed value: comes from one side and leaves on the other, for good, and
+    without a pause (:func:`_pauses`). Readings that change to and fro are one stretch at rest, and
+    scatter by half the mean square of their differences; unless their mean goes on for a step and
+    more (:func:`_wandering`). Half a reading of another value is added (Jeffreys' prior of a rare
+    event): n readings alike do not say that there is no noise. Where they scatter by more than two
+    values can (:data:`DITHERED`), rounding is white in all rows, as in one that moves.
     """
     rows = len(levels)
     total = np.concatenate([[0.0], np.cumsum(levels)])
@@ -104,19 +108,26 @@ def rests(time_s: Array, levels: Array) -> Rests:
     mean_before = (total[at] - total[before]) / np.maximum(at - before, 1)
     mean_after = (total[after] - total[at]) / (after - at)
     moving = (np.abs(mean_after - mean_before) > 1.0) & (at > before)
-    moving |= between_steps(time_s, levels)[1]
+    driven = between_steps(time_s, levels)[1]
+    moving |= driven
     change = np.diff(levels)
     edges = np.flatnonzero(change) + 1
     came, left = edges[:-1], edges[1:]
-    passed = np.sign(change[came - 1]) == np.sign(change[left - 1])
+    side = np.sign(change[came - 1])
+    passed = side == np.sign(change[left - 1])
     # noise to either side of a value is no passage
-    passed &= np.abs(mean_after[left] - mean_before[came]) > 1.0
-    for first, last in zip(came[passed], left[passed], strict=True):
-        moving[first:last] = True
+    passed &= side * (levels[came] - mean_before[came]) > 0.5
+    passed &= side * (mean_after[left] - levels[came]) > 0.5
+    for first, last in zip(came[passed].tolist(), left[passed].tolist(), strict=True):
+        if driven[first:last].any() or not _pauses(levels, first, last):
+            moving[first:last] = True
     # a stretch ends where a value is passed, and at rows that move
     stays = np.ones(rows, dtype=bool)
     stays[came[passed]] = stays[left[passed]] = stays[0] = False
     stays &= ~moving & ~np.concatenate([[True], moving[:-1]])
+    wanders = _wandering(np.flatnonzero(~stays), mean_after)
+    moving |= wanders
+    stays &= ~wanders
     starts = np.flatnonzero(~stays)
     lengths = np.diff(starts, append=rows)
     jumps = np.where(stays, np.diff(levels, prepend=levels[:1]) ** 2, 0.0)
@@ -125,6 +136,35 @@ def rests(time_s: Array, levels: Array) -> Rests:
     scatter = 0.5 * (1.0 + np.add.reduceat(jumps, starts)) / lengths
     moving = moving | np.repeat(lengths == 1, lengths)
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
+
+
+def _wandering(starts: Places, mean_after: Array) -> Flags:
+    """Rows (r,) of stretches in which means over a window (r,) are more than a step apart.
+
+    Those of readings of two values never are: such a wheel goes on, and its noise hides its steps.
+    """
+    result = np.zeros(len(mean_after), dtype=np.bool_)
+    for first, stop in itertools.pairwise([*starts.tolist(), len(mean_after)]):
+        if stop - first >= LEAST_DRIFT:
+            result[first:stop] = np.ptp(mean_after[first : stop - WINDOW + 1]) > 1.0
+    return result
+
+
+def _pauses(levels: Array, came: int, left: int) -> bool:
+    """Whether a wheel that passes a value in rows from ``came`` to ``left`` stops there on its way.
+
+    So it does between two slews. It shows that value for at least :data:`LEAST_DRIFT` rows, and
+    :data:`LEAST_PAUSE` times as long as the values before and after it.
+    """
+    length = left - came
+    if length < LEAST_DRIFT:
+        return False
+    value, limit = levels[came], math.ceil(length / LEAST_PAUSE)
+    before, after = levels[max(came - limit, 0) : came], levels[left : left + limit]
+    return all(
+        bool(np.any((near != value) & (near != next_to)))
+        for near, next_to in ((before, levels[came - 1]), (after, levels[left]))
+    )
 
 
 def between_steps(time_s: Array, levels: Array) -> tuple[Array, Flags]:
