@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.errors import InputError
@@ -54,8 +56,10 @@ LEAST_DITHER: Final = 0.3
 """Noise of body rates, in steps: with 0.3 p-values were right in eight flights, with 0.25 two of
 eight were below 0.05, with 0.2 six."""
 AT_REST: Final = 0.2
-"""Rate (rms, noise included) about an axis that none turns about, of the largest: noise alone is
-0.14 of a slew's 5e-4 rad/s at most (7e-5 rad/s)."""
+"""Rate (rms, noise included) about a direction that none turns about, of the largest: noise alone
+is 0.14 of a slew's 5e-4 rad/s at most (7e-5 rad/s)."""
+DRAWN: Final = 0.3  # of an element of the inertia, about what is at rest: noise can draw it
+ALONG: Final = 0.99  # cosine between a direction and a body axis that stands for it
 
 
 @dataclass(frozen=True)
@@ -183,21 +187,34 @@ def together(
 
 
 def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
-    """Warnings of body axes about which none of the slews turns, in words.
+    """A warning of directions of the body about which none of the slews turns, in words.
 
-    Of the inertia about an axis at rest the data tell nothing, but the measure of flat motion does
-    where the noise is not that of its reference: n (f − f₀) nats per unit of log I, with n rows, f
-    the share of the rates' noise in the balance and f₀ that at the reference. Beside a slew about
-    the axis that is nothing (docs/topics/telemetry-likelihood.md §11).
+    Of the inertia about a direction at rest the data tell nothing, but the measure of flat motion
+    does where the noise is not that of its reference: n (f − f₀) nats per unit of log I, with n
+    rows, f the share of the rates' noise in the balance and f₀ that at the reference. Beside a slew
+    about it that is nothing (docs/topics/telemetry-likelihood.md §11). An element I_ij is named
+    where the projector P on what is at rest leaves :data:`DRAWN` of its unit matrix, P_ii or
+    √(P_ii P_jj + P_ij²), and the priors do not fix it.
     """
-    turned = _turned(events)
-    largest = max(turned.values(), default=0.0)
-    return tuple(
-        f"slews: none turns about {axis.upper()} ({turned[axis]:.2g} rad/s, rms; {largest:.2g} "
-        f"about another axis): noise alone can draw {name} by many standard deviations; "
-        "add a slew about that axis, or fix it in the priors"
-        for axis in axes_at_rest(events)
-        if priors.parameters[name := f"inertia_{axis}{axis}_kg_m2"].fixed is None
+    rates = _slew_rates(events)
+    at_rest = _directions_at_rest(rates)
+    left = at_rest.T @ at_rest
+    drawn = []
+    for i, j in itertools.combinations_with_replacement(range(3), 2):
+        share = left[i, i] if i == j else np.sqrt(left[i, i] * left[j, j] + left[i, j] ** 2)
+        name = f"inertia_{'xyz'[i]}{'xyz'[j]}_kg_m2"
+        if share > DRAWN and priors.parameters[name].fixed is None:
+            drawn.append(name)
+    if not drawn:
+        return ()
+    each = [np.einsum("ai,ij,aj->a", at_rest, own, at_rest) for own in rates]
+    largest = max(float(np.linalg.eigvalsh(own)[-1]) for own in rates)
+    return (
+        f"slews: none turns about {_in_words(at_rest)} ({np.sqrt(np.max(each)):.2g} rad/s, rms; "
+        f"{np.sqrt(largest):.2g} about another direction): noise alone can draw "
+        f"{', '.join(drawn)} by many standard deviations; "
+        f"{'add a slew about it' if len(at_rest) == 1 else 'add slews about other directions'}, "
+        f"or fix {'it' if len(drawn) == 1 else 'them'} in the priors",
     )
 
 
@@ -227,17 +244,40 @@ def coarse_rates(events: Sequence[Event]) -> tuple[str, ...]:
 
 def axes_at_rest(events: Sequence[Event]) -> tuple[str, ...]:
     """Body axes about which none of the slews turns; none without slews."""
-    turned = _turned(events)
-    largest = max(turned.values(), default=0.0)
-    return tuple(axis for axis, rate in turned.items() if rate < AT_REST * largest)
+    squares = np.array([np.diag(own) for own in _slew_rates(events)]).reshape(-1, 3)
+    turned = np.sqrt(squares.max(axis=0, initial=0.0))
+    at_rest = turned < AT_REST * turned.max()
+    return tuple(axis for axis, rests in zip("xyz", at_rest, strict=True) if rests)
 
 
-def _turned(events: Sequence[Event]) -> dict[str, float]:
-    """Largest rate (rms over a slew, rad/s) of all slews about every body axis."""
-    each = []
+def _directions_at_rest(rates: Sequence[Array]) -> Array:
+    """Directions (k, 3) at right angles to each other about which no slew of ``rates`` turns."""
+    if not rates:
+        return np.zeros((0, 3))
+    largest = max(float(np.linalg.eigvalsh(own)[-1]) for own in rates)
+    directions = np.linalg.eigh(np.sum(rates, axis=0))[1].T
+    squares = np.max([np.einsum("ai,ij,aj->a", directions, own, directions) for own in rates], 0)
+    return np.asarray(directions[squares < AT_REST**2 * largest])
+
+
+def _in_words(at_rest: Array) -> str:
+    """Directions at rest (k, 3): body axes by name, one by itself, or all but one."""
+    left = at_rest.T @ at_rest
+    axes = [axis for axis, cosine in zip("XYZ", np.diag(left), strict=True) if cosine > ALONG**2]
+    if len(axes) == len(at_rest):
+        return " and ".join(axes)
+    alone = at_rest[0] if len(at_rest) == 1 else np.linalg.eigh(left)[1][:, 0]
+    alone = alone * np.sign(alone[np.abs(alone).argmax()])
+    direction = f"({', '.join(f'{own:.2f}' for own in alone)}) in body axes"
+    return direction if len(at_rest) == 1 else f"any direction but {direction}"
+
+
+def _slew_rates(events: Sequence[Event]) -> list[Array]:
+    """Mean products of rates (3, 3), rad²/s², of every slew."""
+    result = []
     for event in events:
         if isinstance(event, ReducedEvent) and event.statistics.kind == "slew":
             places = event.statistics.layout.rate
-            squares = np.einsum("aajj->j", event.statistics.gram[:, :, places, places])
-            each.append(np.sqrt(squares / event.statistics.rows))
-    return dict(zip("xyz", np.max(each, axis=0).tolist(), strict=True)) if each else {}
+            # rates are numbers: their products are the same along every axis of the balance
+            result.append(event.statistics.gram[0, 0, places, places] / event.statistics.rows)
+    return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
 
+ELEMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 EVENT = Path(__file__).parents[1] / "data" / "basilisk" / "leak" / "1-bias"
 
 
@@ -42,6 +44,32 @@ def test_an_axis_about_which_no_slew_turns_is_named(axes: str) -> None:
     assert "inertia_zz_kg_m2" in warning
     known = priors().with_fixed("inertia_zz_kg_m2", 4_000.0)
     assert not together(reads, known, STRICT)[1]
+
+
+@pytest.mark.parametrize(
+    ("axes", "where", "drawn"),
+    [
+        ("xy", "about (-0.43, -0.29, 0.86) in body axes", ["xz", "yz", "zz"]),
+        ("x", "any direction but (0.86, -0.43, 0.29)", ["xy", "xz", "yy", "yz", "zz"]),
+        ("xyz", "", []),
+    ],
+)
+def test_a_direction_between_the_axes_is_named(axes: str, where: str, drawn: list[str]) -> None:
+    """Two slews leave one direction at rest and one slew leaves two, about whatever they turn.
+
+    Every axis of the body moves then: the slews' rates are turned to another frame. By noise alone
+    inertias of a flight of another simulator were six standard deviations off for it.
+    """
+    (event,) = turned_about(axes)
+    turn = np.array([[6.0, -3.0, 2.0], [2.0, 6.0, 3.0], [-3.0, -2.0, 6.0]]) / 7.0
+    gram, places = event.statistics.gram.copy(), event.statistics.layout.rate
+    gram[:, :, places, places] = turn.T @ gram[:, :, places, places] @ turn
+    turned = replace(event, statistics=replace(event.statistics, gram=gram))
+    warnings = together([Read.of_reduced(turned)], priors(), STRICT)[1]
+    assert len(warnings) == bool(drawn)
+    for warning in warnings:
+        assert where in warning
+        assert drawn == [own for own in ELEMENTS if f"inertia_{own}_kg_m2" in warning]
 
 
 @pytest.mark.parametrize(("noise", "named"), [(2e-6, False), (1e-6, True)])
