@@ -11,7 +11,6 @@ they show (docs/topics/telemetry-likelihood.md §11).
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -102,12 +101,9 @@ def rests(time_s: Array, levels: Array) -> Rests:
     values can (:data:`DITHERED`), rounding is white in all rows, as in one that moves.
     """
     rows = len(levels)
-    total = np.concatenate([[0.0], np.cumsum(levels)])
     at = np.arange(rows)
-    before, after = np.maximum(at - WINDOW, 0), np.minimum(at + WINDOW, rows)
-    mean_before = (total[at] - total[before]) / np.maximum(at - before, 1)
-    mean_after = (total[after] - total[at]) / (after - at)
-    moving = (np.abs(mean_after - mean_before) > 1.0) & (at > before)
+    mean_before, mean_after = means_beside(levels)
+    moving = (np.abs(mean_after - mean_before) > 1.0) & (at > 0)
     driven = between_steps(time_s, levels)[1]
     moving |= driven
     change = np.diff(levels)
@@ -138,15 +134,26 @@ def rests(time_s: Array, levels: Array) -> Rests:
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
 
 
+def means_beside(levels: Array) -> tuple[Array, Array]:
+    """Means of a window before every row, and of one that begins with it, (r,): shorter at ends."""
+    rows = len(levels)
+    total = np.concatenate([[0.0], np.cumsum(levels)])
+    at = np.arange(rows)
+    before, after = np.maximum(at - WINDOW, 0), np.minimum(at + WINDOW, rows)
+    mean_before = (total[at] - total[before]) / np.maximum(at - before, 1)
+    return mean_before, (total[after] - total[at]) / (after - at)
+
+
 def _wandering(starts: Places, mean_after: Array) -> Flags:
     """Rows (r,) of stretches in which means over a window (r,) are more than a step apart.
 
     Those of readings of two values never are: such a wheel goes on, and its noise hides its steps.
     """
     result = np.zeros(len(mean_after), dtype=np.bool_)
-    for first, stop in itertools.pairwise([*starts.tolist(), len(mean_after)]):
-        if stop - first >= LEAST_DRIFT:
-            result[first:stop] = np.ptp(mean_after[first : stop - WINDOW + 1]) > 1.0
+    lengths = np.diff(starts, append=len(mean_after))
+    for stretch in np.flatnonzero(lengths >= LEAST_DRIFT):
+        first, stop = starts[stretch], starts[stretch] + lengths[stretch]
+        result[first:stop] = np.ptp(mean_after[first : stop - WINDOW + 1]) > 1.0
     return result
 
 

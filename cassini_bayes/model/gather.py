@@ -197,7 +197,8 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
     √(P_ii P_jj + P_ij²), and the priors do not fix it.
     """
     rates = _slew_rates(events)
-    at_rest = _directions_at_rest(rates)
+    largest = float(np.sqrt(np.linalg.eigvalsh(rates)[:, -1].max(initial=0.0)))
+    at_rest = _directions_at_rest(rates, largest)
     left = at_rest.T @ at_rest
     drawn = []
     for i, j in itertools.combinations_with_replacement(range(3), 2):
@@ -207,11 +208,9 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
             drawn.append(name)
     if not drawn:
         return ()
-    each = [np.einsum("ai,ij,aj->a", at_rest, own, at_rest) for own in rates]
-    largest = max(float(np.linalg.eigvalsh(own)[-1]) for own in rates)
     return (
-        f"slews: none turns about {_in_words(at_rest)} ({np.sqrt(np.max(each)):.2g} rad/s, rms; "
-        f"{np.sqrt(largest):.2g} about another direction): noise alone can draw "
+        f"slews: none turns about {_in_words(at_rest)} ({_turned(rates, at_rest).max():.2g} "
+        f"rad/s, rms; {largest:.2g} about another direction): noise alone can draw "
         f"{', '.join(drawn)} by many standard deviations; "
         f"{'add a slew about it' if len(at_rest) == 1 else 'add slews about other directions'}, "
         f"or fix {'it' if len(drawn) == 1 else 'them'} in the priors",
@@ -244,20 +243,24 @@ def coarse_rates(events: Sequence[Event]) -> tuple[str, ...]:
 
 def axes_at_rest(events: Sequence[Event]) -> tuple[str, ...]:
     """Body axes about which none of the slews turns; none without slews."""
-    squares = np.array([np.diag(own) for own in _slew_rates(events)]).reshape(-1, 3)
-    turned = np.sqrt(squares.max(axis=0, initial=0.0))
+    turned = _turned(_slew_rates(events), np.eye(3))
     at_rest = turned < AT_REST * turned.max()
     return tuple(axis for axis, rests in zip("xyz", at_rest, strict=True) if rests)
 
 
-def _directions_at_rest(rates: Sequence[Array]) -> Array:
-    """Directions (k, 3) at right angles to each other about which no slew of ``rates`` turns."""
-    if not rates:
-        return np.zeros((0, 3))
-    largest = max(float(np.linalg.eigvalsh(own)[-1]) for own in rates)
-    directions = np.linalg.eigh(np.sum(rates, axis=0))[1].T
-    squares = np.max([np.einsum("ai,ij,aj->a", directions, own, directions) for own in rates], 0)
-    return np.asarray(directions[squares < AT_REST**2 * largest])
+def _directions_at_rest(rates: Array, largest: float) -> Array:
+    """Directions (k, 3) at right angles to each other about which no slew of ``rates`` turns.
+
+    ``largest`` is the largest rate about any direction, rad/s.
+    """
+    directions = np.linalg.eigh(rates.sum(axis=0))[1].T
+    return np.asarray(directions[_turned(rates, directions) < AT_REST * largest])
+
+
+def _turned(rates: Array, directions: Array) -> Array:
+    """Largest rate (k,), rms over a slew, rad/s, of all slews about directions (k, 3)."""
+    squares = np.einsum("ki,sij,kj->sk", directions, rates, directions)
+    return np.asarray(np.sqrt(squares.max(axis=0, initial=0.0)))
 
 
 def _in_words(at_rest: Array) -> str:
@@ -272,12 +275,12 @@ def _in_words(at_rest: Array) -> str:
     return direction if len(at_rest) == 1 else f"any direction but {direction}"
 
 
-def _slew_rates(events: Sequence[Event]) -> list[Array]:
-    """Mean products of rates (3, 3), rad²/s², of every slew."""
+def _slew_rates(events: Sequence[Event]) -> Array:
+    """Mean products of rates (s, 3, 3), rad²/s², of every slew."""
     result = []
     for event in events:
         if isinstance(event, ReducedEvent) and event.statistics.kind == "slew":
             places = event.statistics.layout.rate
             # rates are numbers: their products are the same along every axis of the balance
             result.append(event.statistics.gram[0, 0, places, places] / event.statistics.rows)
-    return result
+    return np.array(result).reshape(-1, 3, 3)

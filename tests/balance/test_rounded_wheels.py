@@ -205,36 +205,49 @@ def test_means_over_rows_have_less_of_a_rounding() -> None:
     assert over.lasting == pytest.approx(np.full((4, 1), 50.0), rel=0.01)
 
 
+@pytest.mark.parametrize(("gained", "every"), [(5.37, 100), (5.37, 50), (1.37, 50)])
+def test_a_wheel_that_goes_and_stops_rests(gained: float, every: int) -> None:
+    """Turns of 5 s, again and again: what lasts in rests is there, in modes of some rests each.
+
+    It is not driven evenly, though halves of long lines are alike.
+    """
+    shown, said, actual = squares_of_wheels(goes_and_stops(gained, every), 0.1, 12)
+    assert np.mean([at_rest(own).moving.mean() for own in shown.T]) < 0.8
+    assert said > 0.25 * actual
+
+
 @pytest.mark.parametrize("noise", [0.05, 0.2])
 @pytest.mark.parametrize(
     ("gained", "every", "moves", "least"),
     [(5.37, 100, 0.2, 0.75), (200.3, 120, 0.2, 0.7), (5.37, 50, 0.3, 0.65), (1.37, 50, 0.85, 0.2)],
 )
-def test_a_wheel_that_goes_and_stops_rests(
+def test_a_wheel_that_pauses_on_its_way_rests(
     gained: float, every: int, moves: float, least: float, noise: float
 ) -> None:
-    """Turns of 5 s, again and again, all to one side: what lasts in pauses is there.
+    """All turns to one side: a value that it shows for a minute is not passed.
 
-    It is not driven evenly, though halves of long lines are alike, and a value that it shows for a
-    minute is not passed. Steps of one and of two by turns look like a slow staircase, and are told
-    from one in part only.
+    Steps of one and of two by turns look like a slow staircase, and are told from one in part only.
     """
-    rng, rows = np.random.default_rng(12), 1_000
-    time = np.arange(rows)
-    turns = np.clip(time % every, 0, 5) / 5 + time // every
-    shown, said, actual = squares_of_wheels(gained * turns[:, None], noise, rng)
+    shown, said, actual = squares_of_wheels(goes_and_stops(gained, every), noise, 12)
     assert np.mean([at_rest(own).moving.mean() for own in shown.T]) < moves
     assert least < said / actual < 1.1
 
 
+def goes_and_stops(gained: float, every: int) -> Array:
+    """A path (r, 1) of 1,000 rows: so many steps in 5 of them, then none, again and again."""
+    time = np.arange(1_000)
+    return np.asarray(gained * (np.clip(time % every, 0, 5) / 5 + time // every)[:, None])
+
+
 def squares_of_wheels(
-    path: Array, noise: float, rng: np.random.Generator
+    path: Array, noise: float, rng: int | np.random.Generator
 ) -> tuple[Array, float, float]:
     """Printed rates of 100 wheels on a path (r, 1 or 100), and squares of their slow errors.
 
     The squares are those that readings say, and the true ones, on the 31 slowest cosines.
     """
-    modes, true = cosines(len(path), 31), rng.uniform(0.0, 1.0, 100) + path
+    rng, modes = np.random.default_rng(rng), cosines(len(path), 31)
+    true = rng.uniform(0.0, 1.0, 100) + path
     shown = np.round(true + noise * rng.standard_normal(true.shape))
     actual = ((modes.T @ (shown - true)) ** 2).mean(axis=1)[1:]
     said = variance(wheel_squares(in_steps(shown), modes)[0], noise).mean(axis=1)[1:]

@@ -14,7 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from cassini_bayes.balance.rounded_wheels import ROUNDING, WINDOW, coherent_shares
+from cassini_bayes.balance.rounded_wheels import (
+    ROUNDING,
+    WINDOW,
+    coherent_shares,
+    means_beside,
+)
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.turning import direction_cosines
@@ -103,14 +108,14 @@ def _passing_noise(samples: Samples, even: Flags, step: float) -> float:
     0 of too few rows.
     """
     squares, speeds = [], []
-    side = np.ones(WINDOW) / (WINDOW * (WINDOW + 1.0))
+    whole = slice(WINDOW - 1, 1 - WINDOW)  # differences with a window on either side
     for rates in samples.wheel_rad_s.T:
         levels = np.round(rates / step)
-        speed, difference = np.zeros(len(levels) - 2), np.diff(levels, 2)
-        # from means over a window before and after, which are its length and a row apart
-        inner = np.convolve(levels, np.concatenate([side, [0.0], -side]), mode="valid")
-        speed[WINDOW - 1 : len(speed) - WINDOW + 1] = inner
-        used = even & (np.abs(speed) > PASSING) & (np.abs(difference) <= OUTLYING)
+        before, after = means_beside(levels)
+        # of the row in the middle: its windows are their length and a row apart
+        speed = (after[2:] - before[1:-1])[whole] / (WINDOW + 1.0)
+        difference = np.diff(levels, 2)[whole]
+        used = even[whole] & (np.abs(speed) > PASSING) & (np.abs(difference) <= OUTLYING)
         squares.append(difference[used] ** 2)
         speeds.append(speed[used])
     square, speed = np.concatenate(squares), np.concatenate(speeds)
