@@ -28,6 +28,9 @@ derivatives cancel in central differences."""
 LEAST_CURVATURE: Final = 0.05
 """Of a direction in white coordinates: no look makes one more than 4.5 times as wide (judgement;
 what is a saddle or noise would run away, and the next look widens again)."""
+LEAST_TOLD: Final = 5e-5
+"""Curvature that differences tell beside directions of one: twice what rounding may leave
+(``CURVATURE_STEP``). Beside steeper ones higher orders of their differences are larger than it."""
 FIRST_AXES: Final = 0.05
 """Prior standard deviations, before any curvature is known: judgement, between what telemetry tells
 well (a thousandth) and what it does not."""
@@ -125,7 +128,7 @@ def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
     for left in reversed(range(MOST_CURVATURES)):
         gradient, bend = hessian(log_density, point, axes, CURVATURE_STEP)
         values, vectors = np.linalg.eigh(-bend)
-        turned = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+        turned = vectors / np.sqrt(_curvature_used(values))
         is_right = NEARLY_WHITE[0] < values[0] and values[-1] < NEARLY_WHITE[1]
         axes = no_wider_than_prior(axes @ turned)
         has_ended = is_right and 0.5 * float(((gradient @ turned) ** 2).sum()) < SLOPE_LEFT
@@ -134,6 +137,12 @@ def mode_near(log_density: LogDensity, point: Array, axes: Array) -> Mode:
         is_last = is_right or left <= FULL_LOOKS
         point = maximise(log_density, point, axes, MOST_STEPS if is_last else FIRST_STEPS)
     return replace(mode_at(log_density, point, axes), is_whole=has_ended)
+
+
+def _curvature_used(values: Array) -> Array:
+    """Curvatures (d,) by which axes are made as wide as the density: those that a look tells."""
+    least = LEAST_TOLD if values[-1] < NEARLY_WHITE[1] else LEAST_CURVATURE
+    return np.where(values < least, LEAST_CURVATURE, values)
 
 
 def mode_from(log_density: LogDensity, start: Mode) -> Mode:
