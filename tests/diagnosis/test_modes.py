@@ -31,7 +31,7 @@ POINTS_OF_A_LOOK = 3 * 4 + 1
 
 @pytest.mark.parametrize(("too_narrow", "looks"), [(1.0, 2), (20.0, 2), (130.0, 2), (1000.0, 4)])
 def test_a_look_widens_an_axis_by_all_that_it_tells(too_narrow: float, looks: int) -> None:
-    """An axis a hundred times too narrow beside right ones takes no look more than right ones do."""
+    """An axis a hundred times too narrow beside right ones takes no look more than right ones."""
     taken = []
 
     def density(z: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ def test_rounding_does_not_make_an_axis_run_away(too_narrow: float) -> None:
 
 
 def test_a_density_that_bends_within_a_wide_step_is_found_all_the_same() -> None:
-    """Flat in the middle, with walls: a curvature there of next to none says nothing of its width."""
+    """Flat in the middle, with walls: hardly a curvature there, which says nothing of width."""
 
     def density(z: np.ndarray) -> np.ndarray:
         gap = (z - CENTRE) / SD
