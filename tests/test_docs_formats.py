@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.diagnosis import diagnosis
 from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES
@@ -31,6 +30,7 @@ from cassini_bayes.simulation import settings as scenario
 from cassini_bayes.simulation.reader import read_scenario
 from cassini_bayes.spacecraft import check_axis_pairs, load_spacecraft
 from cassini_bayes.spacecraft import reader as spacecraft_file
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.parameters import generic_parameters
 
 ROOT = Path(__file__).parents[1]

@@ -99,6 +99,11 @@ def main() -> None:
         reason = "a prior or a value may be far out of range: compare units and sizes with the data"
         _print_error(f"the arithmetic broke down ({error}); {reason}")
         sys.exit(2)
+    except MemoryError as error:
+        _print_error(
+            f"not enough memory ({error}); ask for fewer draws or walkers, or fewer events"
+        )
+        sys.exit(2)
     except SystemError as error:
         if not _is_interrupt(error):
             raise

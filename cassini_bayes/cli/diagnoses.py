@@ -18,6 +18,7 @@ from cassini_bayes.cli.options import (
     Seed,
     Source,
     command_line,
+    warn,
 )
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import DEFAULT_SEED
@@ -47,6 +48,7 @@ def diagnose_command(
     """Show what the simulation gets wrong, name the cause, measure the gain."""
     from cassini_bayes.pipeline.diagnoses import diagnose
     from cassini_bayes.report.diagnosis import diagnosis_json
+    from cassini_bayes.results.fitting import ALL_MET
 
     reporter = ConsoleReporter(output.quiet)
     if then_fit:
@@ -65,13 +67,17 @@ def diagnose_command(
         progress=reporter.count,
         command=command_line(),
     )
+    converged = True
     if then_fit:
-        result.fit(log=reporter.log)
+        stop_rule = result.fit(log=reporter.log).attrs["stop_rule"]
+        converged = stop_rule == ALL_MET
+        if not converged:
+            warn([f"the extended model has NOT CONVERGED: {stop_rule}"])
     output.show(
         lambda: diagnosis_json(result.record).rstrip(),
         lambda: "\n".join([*result.sentences, str(out / "report.html")]),
     )
-    plausibility.end(result.record["findings"])
+    plausibility.end(result.record["findings"], converged=converged)
 
 
 def refuse_estimates(events: Sequence[str]) -> None:

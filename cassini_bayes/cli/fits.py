@@ -12,13 +12,13 @@ from cassini_bayes.cli.options import (
     ConsoleReporter,
     Effects,
     FittedEffects,
+    GivenSource,
     MaxSteps,
     NoReport,
     Output,
     Plausibility,
     Restart,
     SeedOverride,
-    Source,
     command_line,
 )
 from cassini_bayes.cli.trends import fit_of_mission
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from cassini_bayes.pipeline.run_file import RunFile
 
 
+GIVEN = "command line"
+"""What messages call settings that come from it, in place of a run file's path."""
 PLUS_MINUS = "(± is one standard deviation of the posterior)"
 
 
@@ -49,7 +51,7 @@ def run_command(
     run = read_run_file(run_file, _sampler(seed, max_steps))
     run = run.accepting(plausibility.accept or [], leave_out=plausibility.leave_out)
     folder = out or run_file.parent / (run.output.folder or run_file.stem)
-    outcome = _execute(run, run_file.parent, folder, run_file.stem, effects, restart, output)
+    outcome = _execute(run, run_file, folder, run_file.stem, effects, restart, output)
     _finish(outcome, plausibility, output)
 
 
@@ -72,7 +74,7 @@ def fit_command(
             help="Mission file: events of both branches in one fit, with its facts and priors.",
         ),
     ] = None,
-    source: Source = "flight",
+    source: GivenSource = None,
     effect: FittedEffects = None,
     effects: Effects = None,
     seed: SeedOverride = None,
@@ -86,11 +88,13 @@ def fit_command(
     from cassini_bayes.pipeline.run_file import check_run
 
     if mission is not None:
-        if effect or effects or max_steps or any(vars(plausibility).values()):
+        others = (*vars(plausibility).values(), *vars(restart).values(), no_report)
+        if effect or effects or max_steps or any(others):
             raise InputError(
                 "--mission",
-                "no option about effects, steps, plausibility or strictness beside it",
-                "one of --effect, --effects, --max-steps, --accept, --leave-out, --strict",
+                "no option about effects, steps, plausibility, strictness, restarts or the report",
+                "one of --effect, --effects, --max-steps, --accept, --leave-out, --strict, "
+                "--force, --resume, --no-report",
                 "fit events of one branch with it, or leave it out",
             )
         fit_of_mission(mission, events, priors, source, out, seed, output)
@@ -103,15 +107,16 @@ def fit_command(
         {
             "events": list(events),
             "priors": str(priors),
-            "source": source,
+            **({} if source is None else {"source": source}),
             **plausibility.policy,
             "model": {"effects": effect or []},
             "sampler": _sampler(seed, max_steps),
             "output": {"report": not no_report},
         },
-        "command line",
+        GIVEN,
     )
-    _finish(_execute(run, Path(), out, out.name, effects, restart, output), plausibility, output)
+    given = Path(GIVEN)
+    _finish(_execute(run, given, out, out.name, effects, restart, output), plausibility, output)
 
 
 def _sampler(seed: int | None, max_steps: int | None) -> dict[str, int]:
@@ -122,7 +127,7 @@ def _sampler(seed: int | None, max_steps: int | None) -> dict[str, int]:
 
 def _execute(
     run: RunFile,
-    base: Path,
+    file: Path,
     folder: Path,
     name: str,
     effects: Effects,
@@ -134,8 +139,9 @@ def _execute(
 
     return execute(
         run,
-        base,
+        file.parent,
         folder,
+        where=str(file),
         name=name,
         command=command_line(),
         reporter=ConsoleReporter(output.quiet),

@@ -70,6 +70,10 @@ Dask = Annotated[
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint.")]
 PriorsFile = Annotated[Path, typer.Option("--priors", help="Priors file.")]
 Source = Annotated[str, typer.Option("--source", help="Which rows of a totals CSV.")]
+GivenSource = Annotated[
+    str | None,
+    typer.Option("--source", help="Which rows of a totals CSV.", show_default="flight"),
+]
 FittedEffects = Annotated[
     list[str] | None,
     typer.Option("--effect", help="Effect to fit by name, thruster_leak:z3; may be repeated."),

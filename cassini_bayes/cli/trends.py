@@ -52,7 +52,7 @@ def fit_of_mission(
     mission_file: Path,
     events: Sequence[str],
     priors: Path | None,
-    source: str,
+    source: str | None,
     out: Path,
     seed: int | None,
     output: Output,
@@ -62,10 +62,9 @@ def fit_of_mission(
     from cassini_bayes.pipeline.trend_run import execute_trend
 
     mission = read_mission_file(mission_file)
-    changes: dict[str, object] = {
-        "events": [str(Path(event).absolute()) for event in events],
-        "source": source,
-    }
+    changes: dict[str, object] = {"events": [str(Path(event).absolute()) for event in events]}
+    if source is not None:
+        changes["source"] = source
     if priors is not None:
         changes["priors"] = str(priors.absolute())
     if seed is not None:

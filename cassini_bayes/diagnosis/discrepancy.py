@@ -27,7 +27,6 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from cassini_bayes.balance.linearised import InnovationRows, Linear, change_of_evidence
 from cassini_bayes.balance.part_columns import spread
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.events import Events
@@ -35,6 +34,7 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.spacecraft.attitude import direction_cosines
 
 MODES: Final = 32
 """Cosines of an event: judgement, a curve down to a thirtieth of it; each costs three columns."""

@@ -32,7 +32,6 @@ from cassini_bayes.balance.linearised import (
     information_without_each,
     whitened,
 )
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.discrepancy import baseline_at
@@ -42,6 +41,7 @@ from cassini_bayes.diagnosis.innovations import left_by, thrust_columns
 from cassini_bayes.diagnosis.score import LEAST_PIECES, STANDARD_ERRORS, summed
 from cassini_bayes.diagnosis.spectrum import AXES, spectra
 from cassini_bayes.effects.wording import decimals_of, rounded
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 TIMES: Final = 24

@@ -19,8 +19,9 @@ from cassini_bayes.diagnosis.sizes import effect_values, weighted_interval
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.tables import frame_csv
+from cassini_bayes.results.fitting import ALL_MET
 from cassini_bayes.results.groups import build_fit
-from cassini_bayes.results.record import Fit, save_fit
+from cassini_bayes.results.record import FIT_FILE, Fit, save_fit
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import Proposal, importance, laplace, refined
 
@@ -58,7 +59,9 @@ def fit_extended(
     settings: SamplerSettings = SETTINGS,
     store: CheckpointStore | None = None,
 ) -> pd.DataFrame:
-    """Sample the extended model; write ``fit.nc`` and ``summary.csv``.
+    """Sample the extended model; write ``fit.nc`` and ``summary.csv``, and return that table.
+
+    Its ``attrs["stop_rule"]`` are the criteria that did not hold, or :data:`.fitting.ALL_MET`.
 
     Effect parameters are variables of ``fit.nc`` like all others (:meth:`.Effect.variable`).
 
@@ -87,17 +90,18 @@ def fit_extended(
     log(f"sampling {weighed.name}, {weighed.hypothesis.dimension} dimensions")
     chains = sample(density_of, proposal, replace(settings, seed=seed), store=store)
     z, density = chains.thinned(DRAWS)
+    stop_rule = "; ".join(chains.convergence.failed) or ALL_MET
     attributes: dict[str, str | float | int] = {
         "created_by": f"cassini_bayes {__version__}",
         "model": "baseline without torque noise, extended by a diagnosis",
         "causes": weighed.name,
         "seed": seed,
         "log_evidence": float(weighed.log_evidence),
-        "stop_rule": "; ".join(chains.convergence.failed) or "all criteria met",
+        "stop_rule": stop_rule,
     }
     rng = np.random.default_rng((seed, _LINEAR))
     fit = build_fit(weighed.hypothesis.model, z, density, rng, attributes)
-    save_fit(_renamed(fit, weighed, z), folder / "fit.nc")
+    save_fit(_renamed(fit, weighed, z), folder / FIT_FILE)
     flat = z.reshape(-1, weighed.hypothesis.dimension)
     parameters = weighed.hypothesis.model.space.to_parameters(flat)
     effect_names = {p.name for e in weighed.hypothesis.effects for p in e.parameters}
@@ -122,4 +126,5 @@ def fit_extended(
         )
     table = pd.DataFrame(rows)
     write_text(folder / "summary.csv", frame_csv(table))
+    table.attrs["stop_rule"] = stop_rule
     return table

@@ -30,7 +30,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cassini_bayes.balance.linearised import Information, mean_change_of_evidence
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -38,6 +37,7 @@ from cassini_bayes.diagnosis.innovations import examined, left_by, thrust_column
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side
 from cassini_bayes.diagnosis.second_reckoning import named_in_columns
 from cassini_bayes.effects.registry import Unknown
+from cassini_bayes.spacecraft.attitude import direction_cosines
 
 TORQUE: Final = "torque"
 DRIFT: Final = "drift"

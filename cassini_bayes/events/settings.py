@@ -7,6 +7,7 @@ from typing import Self
 
 from pydantic import Field
 
+from cassini_bayes.events.plausibility.verdict import check_mistakes
 from cassini_bayes.files.validated import Table
 
 
@@ -20,6 +21,13 @@ class EventsTable(Table):
     leave_out: bool = False  # bad cells
 
     def accepting(self, mistakes: Sequence[str], *, leave_out: bool) -> Self:
-        """The same with what a command accepts besides."""
+        """The same with what a command accepts besides.
+
+        Raises
+        ------
+        InputError
+            An unknown mistake.
+        """
+        check_mistakes(mistakes, "--accept")
         accept = [*self.accept, *mistakes]
         return self.model_copy(update={"accept": accept, "leave_out": self.leave_out or leave_out})

@@ -17,7 +17,7 @@ from cassini_bayes.computing.processes import in_processes
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import STRICT, Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.telemetry import TelemetryEvent
-from cassini_bayes.events.telemetry.event import DESCRIPTION
+from cassini_bayes.events.telemetry.event import event_path
 from cassini_bayes.events.totals import TotalsEvent, read_totals, split_reference
 from cassini_bayes.model.event_reduction import ReducedEvent, is_event_folder, reduce_event
 from cassini_bayes.model.nominal import check_rows
@@ -31,7 +31,7 @@ _EVENTS: Final = (str, os.PathLike, *READ)
 
 
 def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]:
-    """One event or several as several.
+    """One event or several as several, each that is named by its ``event.toml`` by its folder.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
         None, or something that is no event.
     """
     if isinstance(events, _EVENTS):
-        return (events,)
+        events = (events,)
     result = tuple(events)
     for event in result:
         if not isinstance(event, _EVENTS):
@@ -49,7 +49,7 @@ def each_event(events: EventLike | Iterable[EventLike]) -> tuple[EventLike, ...]
                 type(event).__name__,
                 "read it with read_totals, read_event or event_from_frame",
             )
-    return result
+    return tuple(event if isinstance(event, READ) else event_path(event) for event in result)
 
 
 LEAST_DITHER: Final = 0.3
@@ -112,8 +112,7 @@ def read_reference(
         return Read.of_reduced(given)
     if isinstance(given, TelemetryEvent):
         return Read.of_reduced(reduce_event(given, priors, pulse_shape, cache, log, policy))
-    if Path(given).name == DESCRIPTION:
-        given = Path(given).parent
+    given = event_path(given)
     if is_event_folder(Path(given)):
         reduced = reduce_event(Path(given), priors, pulse_shape, cache, log, policy)
         return Read.of_reduced(reduced, str(given))

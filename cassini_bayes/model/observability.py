@@ -31,6 +31,7 @@ where to cut: at 0.3 data weigh ten times as much as the prior, at 0.7 as much, 
 TOGETHER: Final = 0.9  # correlation from which on two quantities are called tied together
 NOISE_BLOCK: Final = "noise"
 UNCONSTRAINED: Final = "not seen"
+QUANTITY: Final = ("quantity", "block", "unit", "prior_sd", "expected_sd", "ratio")
 VERDICTS: Final = ("seen well", "seen", "hardly seen", UNCONSTRAINED)
 
 
@@ -116,7 +117,7 @@ def _quantities(
         ]
     thrusts = _thrust_rows(model, unknowns, covariance, cases)
     walked = _walked_rows(model, _expected(model, unknowns, covariance))
-    return pd.DataFrame([*thrusts, *walked])
+    return pd.DataFrame([*thrusts, *walked], columns=QUANTITY)
 
 
 def _information(model: Model, unknowns: Unknowns) -> Array:
@@ -189,7 +190,7 @@ def _with_levels(information: Array, slopes: Array, prior: ThrustPrior) -> Array
 def _asked(model: Model, unknowns: Unknowns) -> Places:
     """Places of what is asked for: walked parameters but the noise levels, shared thrust levels."""
     walked = [i for i, block in enumerate(model.space.blocks) if block != NOISE_BLOCK]
-    return np.array([*walked, *range(unknowns.levels.start, unknowns.levels.stop)])
+    return np.array([*walked, *range(unknowns.levels.start, unknowns.levels.stop)], dtype=np.intp)
 
 
 def _marginal(information: Array, asked: Places) -> Array:
@@ -238,14 +239,7 @@ def _thrust_rows(
 
 
 def _row(name: str, block: str, unit: str, prior: float, ratio: float) -> dict[str, object]:
-    return {
-        "quantity": name,
-        "block": block,
-        "unit": unit,
-        "prior_sd": prior,
-        "expected_sd": prior * ratio,
-        "ratio": ratio,
-    }
+    return dict(zip(QUANTITY, (name, block, unit, prior, prior * ratio, ratio), strict=True))
 
 
 def _together(names: Sequence[str], covariance: Array) -> tuple[tuple[str, str, float], ...]:
@@ -264,6 +258,8 @@ def _sentences(
     table: pd.DataFrame, singular: Array, together: tuple[tuple[str, str, float], ...]
 ) -> tuple[str, ...]:
     """The result in words: directions, then thrusts, inertia and nuisances by verdict."""
+    if not singular.size:
+        return ("Thrust levels, inertia and all nuisances but noise are fixed: nothing to see.",)
     told = int((singular > 1.0).sum())
     said = [
         f"Expected before sampling: of {len(singular)} directions among thrust levels, inertia and "

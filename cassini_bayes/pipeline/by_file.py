@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from cassini_bayes.files.checks import check_seed
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.model.mission.mission_file import read_mission_file
 from cassini_bayes.pipeline.run import Quiet, Reporter
@@ -128,6 +129,7 @@ def trend(
     path = Path(mission_file)
     mission = read_mission_file(path).accepting(accept, leave_out=leave_out)
     if seed is not None:
+        check_seed(seed)
         table = mission.trend.model_copy(update={"seed": seed})
         mission = mission.model_copy(update={"trend": table})
     return execute_trend(

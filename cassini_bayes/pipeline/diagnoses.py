@@ -33,7 +33,7 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model.event_reduction import is_event_folder
 from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
-from cassini_bayes.pipeline.inputs import paths_of
+from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import library_versions, read_provenance, recorded
 from cassini_bayes.pipeline.run import CHECKPOINT, PROVENANCE, open_folder
@@ -171,6 +171,8 @@ class DiagnosisResult:
     ) -> pd.DataFrame:
         """Sample the extended model with emcee; writes ``fit.nc`` and ``summary.csv``.
 
+        Returns the summary; its ``attrs["stop_rule"]`` says whether the chains have converged.
+
         Without a ``folder`` it goes into ``extended`` of the diagnosis's own, where a killed fit
         goes on from its last block of draws; :func:`predict` takes it there.
 
@@ -276,7 +278,7 @@ def diagnose(
     """
     check_seed(seed)
     given = each_event(events)
-    names = [] if folder is None else [*paths_of(given), *paths_of([priors])]
+    names = [] if folder is None else [*paths_of(given, *EVENTS), *paths_of(priors, *PRIORS)]
     kinds = read_kinds([Path(path) for path in effect_files])
     policy = Policy.of(accept, leave_out=leave_out)
     processes = cores() if workers is None else workers

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
 import numpy as np
 import pandas as pd
@@ -18,18 +18,19 @@ from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
+from cassini_bayes.events.telemetry.event import DESCRIPTION
 from cassini_bayes.files.checks import check_known, check_seed
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import validated
 from cassini_bayes.model.draws import event_log_marginal
-from cassini_bayes.model.gather import EventLike, PathLike
+from cassini_bayes.model.gather import EventLike, PathLike, each_event
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.totals import DeltaVUse
-from cassini_bayes.pipeline.inputs import paths_of, read_inputs
+from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.pipeline.provenance import read_provenance
-from cassini_bayes.pipeline.run import Quiet, Reporter, execute, facts_of, write_results
+from cassini_bayes.pipeline.run import PROVENANCE, Quiet, Reporter, execute, facts_of, write_results
 from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
 from cassini_bayes.prediction.sources import RESOLVED, locate
 from cassini_bayes.priors.reader import read_priors
@@ -43,7 +44,7 @@ from cassini_bayes.results.fitting import (
     fit_warnings,
     stop_rule_held,
 )
-from cassini_bayes.results.record import Fit, save_fit
+from cassini_bayes.results.record import FIT_FILE, Fit, save_fit
 from cassini_bayes.results.review import Review
 from cassini_bayes.results.tables import hdi, summarise
 from cassini_bayes.sampling.ensembles import SamplerSettings
@@ -54,7 +55,8 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "90 % highest density"
-FIT_FILE: Final = "fit.nc"
+KEPT: Final = (4_000, 4_000, True)
+"""Draws of an ensemble, draws of the prior, and whether there is a report, where none is said."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -265,10 +267,10 @@ def fit(
     leave_out: bool = False,
     sampler: SamplerSettings | Mapping[str, Any] | None = None,
     seed: int | None = None,
-    draws_per_ensemble: int = 4_000,
-    prior_draws: int = 4_000,
+    draws_per_ensemble: int = KEPT[0],
+    prior_draws: int = KEPT[1],
     folder: PathLike | None = None,
-    report: bool = True,
+    report: bool = KEPT[2],
     force: bool = False,
     resume: bool = False,
     reporter: Reporter | None = None,
@@ -309,24 +311,25 @@ def fit(
     InputError
         Bad data, priors or settings, before anything is sampled.
     """
-    settings = _sampler_of(sampler, seed)
+    given = _given(sampler, seed)
+    settings = validated(SamplerTable, given, "sampler").settings()
     told = reporter or Quiet()
-    if isinstance(events, str | os.PathLike) and Path(events).suffix == ".toml":
+    if is_run_file(events):
         path = Path(events)
         said = (priors, *effects, pulse_shape, delta_v, source, *accept, leave_out)
-        if said != (None, "first_order", "as-declared", "flight", False):
+        kept = (draws_per_ensemble, prior_draws, report)
+        if (*said, *kept) != (None, "first_order", "as-declared", "flight", False, *KEPT):
             raise InputError(
                 "fit", "a run file alone", "priors or settings beside it", "write them into it"
             )
-        run = read_run_file(path)
-        if sampler is not None or seed is not None:
-            run = run.model_copy(update={"sampler": _merged(run.sampler, settings, seed)})
+        run = read_run_file(path, given)
         target = folder or path.parent / (run.output.folder or path.stem)
-        return _written(run, path.parent, target, effect_files, force, resume, told)
+        return _written(run, path, target, effect_files, force, resume, told)
     if folder is not None:
+        named = events if isinstance(events, Model) else each_event(events)
         table = {
-            "events": paths_of(events),
-            "priors": paths_of([] if priors is None else [priors])[0],
+            "events": paths_of(named, *EVENTS),
+            "priors": paths_of(priors, *PRIORS)[0],
             "source": source,
             "accept": list(accept),
             "leave_out": leave_out,
@@ -335,7 +338,7 @@ def fit(
                 "delta_v": delta_v,
                 "effects": [str(effect) for effect in effects],
             },
-            "sampler": vars(settings),
+            "sampler": given,
             "output": {
                 "draws_per_ensemble": draws_per_ensemble,
                 "prior_draws": prior_draws,
@@ -343,7 +346,7 @@ def fit(
             },
         }
         run = check_run(table, "fit")
-        return _written(run, Path(), folder, effect_files, force, resume, told)
+        return _written(run, Path("fit"), folder, effect_files, force, resume, told)
     if isinstance(events, Model) and (priors is not None or effects):
         raise InputError(
             "fit", "a model alone", "priors or effects beside it", "give them to build_model"
@@ -375,46 +378,42 @@ def fit(
     return result_of(review)
 
 
-def _sampler_of(
-    sampler: SamplerSettings | Mapping[str, Any] | None, seed: int | None
-) -> SamplerSettings:
-    if isinstance(sampler, SamplerSettings):
-        settings = sampler
-    else:
-        given, known = dict(sampler or {}), tuple(vars(SamplerSettings()))
-        for key in given:
-            check_known(f"sampler: {key}", key, known, f"some of {', '.join(known)}")
-        settings = validated(SamplerTable, given, "sampler").settings()
-    if seed is not None:
-        settings = replace(settings, seed=seed)
-    check_seed(settings.seed)
-    return settings
+def is_run_file(events: object) -> TypeGuard[PathLike]:
+    """Whether it is the path of a run file, and no event named by its ``event.toml``."""
+    if not isinstance(events, str | os.PathLike):
+        return False
+    return Path(events).suffix == ".toml" and Path(events).name != DESCRIPTION
 
 
-def _merged(table: SamplerTable, settings: SamplerSettings, seed: int | None) -> SamplerTable:
-    """The run file's sampler with what the caller changed of the defaults."""
-    defaults = vars(SamplerSettings())
-    changed = {key: value for key, value in vars(settings).items() if value != defaults[key]}
+def _given(sampler: SamplerSettings | Mapping[str, Any] | None, seed: int | None) -> dict[str, Any]:
+    """The sampler's settings that the caller gives, all of them where they are a record."""
+    given = dict(vars(sampler) if isinstance(sampler, SamplerSettings) else sampler or {})
+    known = tuple(vars(SamplerSettings()))
+    for key in given:
+        check_known(f"sampler: {key}", key, known, f"some of {', '.join(known)}")
     if seed is not None:
-        changed["seed"] = seed
-    return table.model_copy(update=changed)
+        given["seed"] = seed
+    if "seed" in given:
+        check_seed(given["seed"])
+    return given
 
 
 def _written(
     run: RunFile,
-    base: Path,
+    file: Path,
     folder: PathLike,
     effect_files: Sequence[PathLike],
     force: bool,
     resume: bool,
     reporter: Reporter,
 ) -> FitResult:
-    """A run written to its folder."""
+    """A run of a file, or of what stands for one, written to its folder."""
     target = Path(folder)
     outcome = execute(
         run,
-        base,
+        file.parent,
         target,
+        where=str(file),
         name=target.name,
         command=["cassini_bayes.fit"],
         reporter=reporter,
@@ -478,12 +477,13 @@ def _review_of(
         events = [str(locate(file, event, "--base", priors)) for event in run.events]
         run = run.model_copy(update={"events": events, "priors": str(priors_path)})
     kinds = read_kinds([Path(path) for path in effect_files])
-    inputs = read_inputs(run, Path() if base is None else Path(base), folder, kinds=kinds)
+    place = Path() if base is None else Path(base)
+    inputs = read_inputs(run, place, folder, kinds=kinds, where=str(resolved))
     model = inputs.model
     z = model.space.to_standard(
         walked_values(stored.posterior, model.space.names, model.spacecraft)
     )
-    kept = folder / "provenance.json"
+    kept = folder / PROVENANCE
     provenance = read_provenance(kept) if exists(kept) else None
     return Review(
         name=name,

@@ -23,6 +23,9 @@ from cassini_bayes.priors.reader import Priors, read_priors
 
 STATISTICS: Final = "statistics"
 """Folder of a run that keeps its reduced telemetry."""
+EVENTS: Final = ("events", "the folder of an event")
+PRIORS: Final = ("priors", 'priors="priors/….toml"')
+"""What :func:`paths_of` is asked for, and an example of it."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ def read_inputs(
     folder: Path | None = None,
     log: Log = silent,
     kinds: Kinds | None = None,
+    where: str = "run",
 ) -> Inputs:
     """Read the events and priors a run file names, relative to ``base``, and build the model.
 
@@ -61,6 +65,8 @@ def read_inputs(
         Told what was read of the telemetry.
     kinds
         The effects that a run file may name; those of the package by default.
+    where
+        The run file for messages.
 
     Raises
     ------
@@ -74,7 +80,7 @@ def read_inputs(
         digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}
     reads = []
-    policy = Policy.of(run.accept, leave_out=run.leave_out)
+    policy = Policy.of(run.accept, leave_out=run.leave_out, where=f"{where}: accept")
     cache = None if folder is None else folder / STATISTICS
     for reference in run.events:
         read = read_reference(
@@ -107,21 +113,20 @@ def read_inputs(
     if kinds is not None:
         digests |= kinds.files
     asked = run.model
-    model = model_of(
-        events, priors, asked.pulse_shape, asked.delta_v, asked.effects, kinds, "model.effects"
-    )
+    named = f"{where}: model.effects"
+    model = model_of(events, priors, asked.pulse_shape, asked.delta_v, asked.effects, kinds, named)
     return Inputs(events, priors, model, digests, findings)
 
 
-def paths_of(given: Any) -> list[str]:
-    """Paths as the record of a run names them.
+def paths_of(given: Any, what: str, example: str) -> list[str]:
+    """Paths as the record of a run names them; ``what`` they are of, and an example.
 
     Raises
     ------
     InputError
         Something that is no path: the folder could not say what it was made of.
     """
-    several = [given] if isinstance(given, str | os.PathLike) else list(given)
+    several = list(given) if isinstance(given, list | tuple) else [] if given is None else [given]
     for one in several:
         if not isinstance(one, str | os.PathLike):
             raise InputError(
@@ -131,5 +136,5 @@ def paths_of(given: Any) -> list[str]:
                 "give paths, or leave folder out and save the result",
             )
     if not several:
-        raise InputError("priors", "a priors file", "none", 'add priors="priors/….toml"')
+        raise InputError(what, "at least one path", "none", f"give e.g. {example}")
     return [os.fspath(one) for one in several]

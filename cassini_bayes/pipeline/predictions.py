@@ -18,7 +18,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import DEFAULT_SEED, check_seed
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.gather import PathLike
-from cassini_bayes.pipeline.fits import FIT_FILE, FitResult
+from cassini_bayes.pipeline.fits import FitResult
 from cassini_bayes.prediction import planning
 from cassini_bayes.prediction.learning import FEW_DRAWS, Learned
 from cassini_bayes.prediction.minimise import (
@@ -53,7 +53,7 @@ from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.fitting import fit_warnings, stop_rule_held
-from cassini_bayes.results.record import Fit
+from cassini_bayes.results.record import FIT_FILE, Fit
 from cassini_bayes.results.record import read_fit as read_record
 
 if TYPE_CHECKING:
@@ -400,6 +400,7 @@ def plan(
         _refuse_idle("--quantity", {"--levels": levels, "--budget": budget, "--top": top})
     else:
         _refuse_idle("--minimise", {"--to": to, "--limit": limit})
+    check_seed(seed)
     sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed)

@@ -32,7 +32,7 @@ from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
-from cassini_bayes.results.record import Fit, save_fit
+from cassini_bayes.results.record import FIT_FILE, Fit, save_fit
 from cassini_bayes.results.review import Review, is_converged
 from cassini_bayes.sampling.ensembles import ProgressReport
 
@@ -42,7 +42,7 @@ WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,
     STATISTICS,
-    "fit.nc",
+    FIT_FILE,
     "summary.csv",
     "tables",
     "figures",
@@ -95,7 +95,7 @@ def prepare_folder(
     force: bool,
     resume: bool,
     what: str = "run",
-    result: str = "fit.nc",
+    result: str = FIT_FILE,
     written: Sequence[str] = WRITTEN,
 ) -> None:
     """Make the folder of a run, or refuse: an existing run is never overwritten silently.
@@ -188,6 +188,7 @@ def execute(
     base: Path,
     folder: Path,
     *,
+    where: str = "run",
     name: str,
     command: Sequence[str],
     reporter: Reporter,
@@ -201,6 +202,8 @@ def execute(
     ----------
     run, base
         The run file and the folder its paths are relative to.
+    where
+        The run file for messages.
     command
         The command line, for the record.
     kinds
@@ -212,9 +215,9 @@ def execute(
         Anything wrong with the inputs or the folder; nothing is sampled then.
     """
     began = time.monotonic()
-    inputs = read_inputs(run, base, folder, reporter.log, kinds)
+    inputs = read_inputs(run, base, folder, reporter.log, kinds, where)
     settings = run.sampler.settings()
-    settings.walkers_for(len(inputs.model.space.names))
+    settings.walkers_for(len(inputs.model.space.names), f"{where}: sampler.walkers")
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     provenance = provenance.relative_to(base, folder)
     store = open_folder(folder, run.model_dump(), provenance, force=force, resume=resume)
@@ -232,7 +235,7 @@ def execute(
         progress=reporter.progress,
         threads=cores(),
     )
-    save_fit(sampled.fit, folder / "fit.nc")
+    save_fit(sampled.fit, folder / FIT_FILE)
     review = Review(
         name=name,
         model=inputs.model,

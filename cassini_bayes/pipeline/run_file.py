@@ -25,6 +25,10 @@ OTHERS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
 )
 """Tables of files that are no run files, what has them, and what takes that."""
 
+MOST_WALKERS: Final = 10_000
+MOST_DRAWS: Final = 1_000_000
+"""Judgement: a slip of some zeros is refused before it asks for more memory than there is."""
+
 
 class ModelTable(Table):
     """``[model]``: choices beyond the standard terms."""
@@ -38,7 +42,7 @@ class SamplerTable(Table):
     """``[sampler]``: see :class:`cassini_bayes.sampling.ensembles.SamplerSettings`."""
 
     ensembles: int = Field(4, ge=2, le=64)
-    walkers: int = Field(0, ge=0)
+    walkers: int = Field(0, ge=0, le=MOST_WALKERS)
     target_ess: int = Field(2_000, ge=100)
     first_check: int = Field(200, ge=20)
     max_steps: int = Field(5_000, ge=100)
@@ -54,8 +58,8 @@ class OutputTable(Table):
     """``[output]``: what to keep and to draw."""
 
     folder: str = ""
-    draws_per_ensemble: int = Field(4_000, ge=500)
-    prior_draws: int = Field(4_000, ge=500)
+    draws_per_ensemble: int = Field(4_000, ge=500, le=MOST_DRAWS)
+    prior_draws: int = Field(4_000, ge=500, le=MOST_DRAWS)
     report: bool = True
 
 
@@ -110,4 +114,6 @@ def check_run(table: dict[str, Any], where: str) -> RunFile:
             f"{sampler.first_check}",
             "lower it, or raise max_steps",
         )
+    kept = run.output.draws_per_ensemble
+    sampler.settings().check_kept(kept, f"{where}: output.draws_per_ensemble")
     return run

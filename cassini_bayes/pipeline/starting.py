@@ -95,7 +95,8 @@ def write_starting_files(
     Raises
     ------
     InputError
-        Unknown spacecraft or branch, data that cannot be read, or a file that is there already.
+        Unknown spacecraft or branch, data that cannot be read, a path that TOML cannot have, or a
+        file that is there already.
     """
     spacecraft = load_spacecraft(reference)
     chosen = spacecraft.branches[-1] if branch is None else branch
@@ -155,7 +156,7 @@ def _priors(start: Start, folder: Path) -> str:
     generic = resources.files("cassini_bayes.priors") / "starting" / "generic.toml"
     named = f'name = "{start.reference}"'
     if start.is_file:
-        named = f"file = {json.dumps(_relative(Path(start.reference), folder))}"
+        named = f"file = {_path_from(folder, Path(start.reference))}"
     geometry = start.spacecraft.geometry_of(start.branch).parameters
     needed = dict.fromkeys((*geometry, *start.spacecraft.wheel_parameters(start.wheels)))
     known = known_parameters(start.spacecraft)
@@ -200,12 +201,11 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
     first = samples[0]
     if first.delimiter != ",":
         lines += ["", f"delimiter = {json.dumps(first.delimiter)}"]
+    with_values = ", with their first values" * bool(first.first)
+    lines += ["", f"# Columns of {_printable(first.path.name)}{with_values}:"]
     lines += [
-        "",
-        f"# Columns of {first.path.name}{', with their first values' * bool(first.first)}:",
-    ]
-    lines += [
-        f"#   {n}  {first.first.get(n, '')[:40]}".rstrip() for n in first.header[:_MOST_LISTED]
+        _printable(f"#   {n}  {first.first.get(n, '')[:40]}".rstrip())
+        for n in first.header[:_MOST_LISTED]
     ]
     if len(first.header) > _MOST_LISTED:
         lines.append(f"#   and {len(first.header) - _MOST_LISTED} more")
@@ -223,7 +223,7 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
         *([f"# No column was found for: {', '.join(missing)}."] if missing else []),
         "",
         *([f"# Of wheels or thrusters, it seems: map or ignore {_listed(driven)}."] * bool(driven)),
-        *([f"{PROPOSED}ignore = {json.dumps(left, ensure_ascii=False)}", ""] if left else []),
+        *([f"{PROPOSED}ignore = {_toml(left)}", ""] if left else []),
         *_proposed(result),
     ]
     return "\n".join(lines) + "\n"
@@ -231,7 +231,7 @@ def _channels(start: Start, samples: Sequence[Sample]) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
-    return ", ".join(names[:_MOST_LISTED]) + more
+    return _printable(", ".join(names[:_MOST_LISTED]) + more)
 
 
 def _proposed(found: Sequence[Match]) -> list[str]:
@@ -240,7 +240,7 @@ def _proposed(found: Sequence[Match]) -> list[str]:
         sources = match.sources[0] if len(match.sources) == 1 else list(match.sources)
         lines += [
             f"{PROPOSED}[channels.{match.channel}]",
-            f"{PROPOSED}source = {json.dumps(sources, ensure_ascii=False)}",
+            f"{PROPOSED}source = {_toml(sources)}",
             *(
                 f"{PROPOSED}{key} = {value}{_remark(match.channel, key)}"
                 for key, value in match.keys.items()
@@ -278,7 +278,7 @@ def _event(start: Start, place: Path, name: str, sample: Sample | None) -> str:
         said = "the first time in the data; an event's epoch is the time of its first row, UTC"
     data = '# telemetry = "…"  # telemetry.csv or telemetry.parquet beside this file, or any other'
     if sample is not None:
-        data = f"telemetry = {json.dumps(_relative(sample.path, place), ensure_ascii=False)}"
+        data = f"telemetry = {_path_from(place, sample.path)}"
     return f"""# What happened, and where its telemetry is.
 id = {json.dumps(name)}
 kind = "bias" # or "slew", "quiescent", "delta_v"
@@ -308,5 +308,22 @@ seed = 1
 """
 
 
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
+def _path_from(folder: Path, path: Path) -> str:
+    """A path that is relative to a folder, as TOML."""
+    relative = Path(os.path.relpath(path, folder)).as_posix()
+    try:
+        relative.encode()
+    except UnicodeEncodeError:
+        expected, fix = "a path of UTF-8 characters, as TOML has no others", "rename it"
+        raise InputError(str(path), expected, "other bytes in it", fix) from None
+    return _toml(relative)
+
+
+def _toml(value: str | Sequence[str]) -> str:
+    """Text, or a list of it, as TOML: as JSON, and what that leaves unprintable escaped as well."""
+    return _printable(json.dumps(value, ensure_ascii=False))
+
+
+def _printable(text: str) -> str:
+    """Text with what cannot be printed as TOML escapes it: a line break would end a comment."""
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in text)

@@ -29,7 +29,7 @@ from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.fitting import stop_rule_held
-from cassini_bayes.results.record import Fit, read_fit
+from cassini_bayes.results.record import FIT_FILE, Fit, read_fit
 from cassini_bayes.sweep.models import Factory
 from cassini_bayes.sweep.plan import Sweep, plan, reported_quantiles
 from cassini_bayes.sweep.specification import SweepFile
@@ -107,14 +107,14 @@ def execute_sweep(
     began = time.monotonic()
     if run.model.effects:
         raise InputError(
-            "model.effects",
+            f"{folder / RESOLVED}: model.effects",
             "a run of the standard physics",
             f"one with {', '.join(run.model.effects)}",
             "sweep a run without effects: sweeps vary the parameters of the priors file",
         )
     inputs, fit = _read(run, base, folder, reporter)
     factory = factory_of(run, inputs)
-    planned = plan(factory, fit, sweep, where)
+    planned = plan(factory, fit, sweep, where, str(folder / FIT_FILE))
     target = folder / FOLDER
     store = _store(planned, target, inputs)
     write_text(target / RESOLVED, tomli_w.dumps(sweep.model_dump()))
@@ -145,7 +145,7 @@ def execute_sweep(
 
 
 def _read(run: RunFile, base: Path, folder: Path, reporter: Reporter) -> tuple[Inputs, Fit]:
-    path = folder / "fit.nc"
+    path = folder / FIT_FILE
     if not path.exists():
         raise InputError(str(path), "the fit of this run", "no such file", "run it first")
     return read_inputs(run, base, folder, reporter.log), read_fit(path)

@@ -19,26 +19,27 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes import __version__
+from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
-from cassini_bayes.files.tables import frame_records
+from cassini_bayes.files.tables import finite, frame_records
 from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
-from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.pipeline.run import CHECKPOINT, PROVENANCE, Reporter
+from cassini_bayes.prediction.sources import RESOLVED
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission
 from cassini_bayes.results.mission.groups import mission_fit_record
 from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend, trend_draws
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
-from cassini_bayes.results.record import save_fit
+from cassini_bayes.results.record import FIT_FILE, save_fit
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
-CHECKPOINT: Final = "checkpoint"
 DRAWN_BY: Final = ("model.mission.inputs", "results.mission.fitting")
 """Modules whose code, with all that they import, the draws of a trend depend on."""
 
@@ -132,6 +133,7 @@ def execute_trend(
     from cassini_bayes.report.plots.mission import mission_drawings
 
     began = time.monotonic()
+    _refuse_run(folder)
     inputs = read_mission(mission, base, where, folder / CHECKPOINT / "statistics", reporter.log)
     if folder.is_dir():
         remove_leftovers(folder)
@@ -142,12 +144,10 @@ def execute_trend(
     save_trend(fit, trend, folder / "trend.nc")
     if fit_record:
         rng = np.random.default_rng([mission.trend.seed, 2])
-        save_fit(mission_fit_record(fit, trend.draws, rng), folder / "fit.nc")
+        save_fit(mission_fit_record(fit, trend.draws, rng), folder / FIT_FILE)
     write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))
     write_text(folder / "trend.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
-    write_text(
-        folder / "provenance.json", json.dumps(_provenance(inputs, laws, command), indent=2) + "\n"
-    )
+    write_text(folder / PROVENANCE, json.dumps(_provenance(inputs, laws, command), indent=2) + "\n")
     dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}
     if report:
         figures = draw(mission_drawings(trend.thrust, trend.health, trend.onsets, dated))
@@ -157,6 +157,17 @@ def execute_trend(
     seconds = time.monotonic() - began
     reporter.log(f"{'done' if fit.converged else 'NOT CONVERGED'} in {seconds:.0f} s: {folder}")
     return TrendOutcome(folder, fit, trend, record, seconds, dated, inputs.findings)
+
+
+def _refuse_run(folder: Path) -> None:
+    """A run or diagnosis stays what it says it is of: a trend would replace half of its files."""
+    if (folder / RESOLVED).exists():
+        raise InputError(
+            str(folder),
+            "a new folder, or that of an earlier trend",
+            f"a run or diagnosis (with {RESOLVED})",
+            "choose another --out",
+        )
 
 
 def _fitted(
@@ -222,7 +233,7 @@ def _record(
 ) -> dict[str, Any]:
     """``trend.json``: health, alarms, forecast and how the draws were made."""
     names, values = fit.model.space.names, fit.model.space.to_parameters(trend.draws.z)
-    return {
+    record = {
         "format": 1,
         "identity": laws,
         "events": list(inputs.digests),
@@ -253,3 +264,4 @@ def _record(
             for name in names
         },
     }
+    return {key: finite(value) for key, value in record.items()}  # Pareto k̂ of few draws is not

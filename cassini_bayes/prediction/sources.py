@@ -18,6 +18,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
 from cassini_bayes.events.telemetry import TelemetryEvent, read_event
+from cassini_bayes.events.telemetry.event import DESCRIPTION, event_path
 from cassini_bayes.events.totals import TotalsEvent, read_totals, split_reference
 from cassini_bayes.files.json_file import read_json
 from cassini_bayes.files.netcdf import read_groups
@@ -101,7 +102,7 @@ def read_sources(
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
-        [events]
+        [event_path(events)]
         if events
         else [str(locate(fit, n, "--events", read)) for n in _names(resolved, "events", record)]
     )
@@ -262,8 +263,8 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
     digests, first = _recorded(folder)
     changed: list[str] = []
     for base in (*(folder / own for own in first), fit.parent.parent, Path(), fit.parent):
-        path = Path(os.path.normpath(base / name))
-        if priors is not None and is_event_folder(path):
+        path = Path(event_path(os.path.normpath(base / name)))
+        if priors is not None and exists(path / DESCRIPTION):
             known, found = digests.get(name), read_event(path, priors.spacecraft).digest
         else:
             table, _ = split_reference(name, base)

@@ -7,26 +7,14 @@ from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.files.tables import rows_csv
 from cassini_bayes.prediction.predict import Prediction
+from cassini_bayes.spacecraft.attitude import direction_cosines
 
 INTERVAL: Final = "90 % central"
 _QUANTILES: Final = (0.05, 0.5, 0.95)
-
-
-def body_to_inertial(quaternion: ArrayLike) -> Array:
-    """Rotation (3, 3) from body to inertial axes; quaternion inertial to body, scalar last.
-
-    The transpose of C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
-    """
-    x, y, z, w = np.asarray(quaternion, dtype=np.float64).tolist()
-    q = np.array([x, y, z])
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    to_body = (w * w - q @ q) * np.eye(3) + 2.0 * np.outer(q, q) - 2.0 * w * cross
-    return np.asarray(to_body.T)
 
 
 @dataclass(frozen=True)
@@ -60,7 +48,8 @@ def lines(prediction: Prediction) -> tuple[Line, ...]:
             continue
         result += _vector(f"{kind}_body", vector)
         if prediction.request.quaternion is not None:
-            turned = vector @ body_to_inertial(prediction.request.quaternion).T
+            attitude = np.asarray(prediction.request.quaternion, dtype=np.float64)
+            turned = vector @ direction_cosines(attitude[None])[0]  # Cᵀ v of every draw
             result += _vector(f"{kind}_inertial", turned)
     if prediction.hydrazine_g is not None:
         result.append(_line("hydrazine", "g", prediction.hydrazine_g))

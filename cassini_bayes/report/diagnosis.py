@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from cassini_bayes.diagnosis.correlations import POINTWISE, InnovationTests
 from cassini_bayes.diagnosis.diagnosis import Diagnosis
 from cassini_bayes.diagnosis.discrepancy import Curve
 from cassini_bayes.files.storage import remove_leftovers, write_bytes, write_text
-from cassini_bayes.files.tables import frame_csv
+from cassini_bayes.files.tables import finite, frame_csv
 from cassini_bayes.report.diagnosis_page import render_diagnosis
 from cassini_bayes.report.diagnosis_pictures import cause_picture, drawn, pictures_of
 from cassini_bayes.report.diagnosis_verdict import verdict_sentences
@@ -88,14 +87,4 @@ def driver_table(before: InnovationTests, after: InnovationTests) -> pd.DataFram
 
 def diagnosis_json(record: Mapping[str, Any]) -> str:
     """The record as JSON; numbers that are not finite become null."""
-    return json.dumps(_finite(record), indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
+    return json.dumps(finite(record), indent=1, allow_nan=False) + "\n"

@@ -13,7 +13,6 @@ import pandas as pd
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_parts, in_processes
-from cassini_bayes.errors import InputError
 from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
@@ -142,14 +141,7 @@ def fit_model(
     """
     settings = settings or SamplerSettings()
     settings.walkers_for(len(model.space.names))
-    if settings.ensembles * draws_per_ensemble < 2 * settings.target_ess:
-        raise InputError(
-            "output.draws_per_ensemble",
-            f"at least {-(-2 * settings.target_ess // settings.ensembles)}, so that the "
-            f"{settings.ensembles} ensembles can hold {settings.target_ess} effective draws",
-            str(draws_per_ensemble),
-            "keep more draws, or ask for a smaller target_ess",
-        )
+    settings.check_kept(draws_per_ensemble)
     log(
         f"{_count(model.event_ids)}, {len(model.space.names)} walked and "
         f"{collapsed_size(model)} collapsed parameters"

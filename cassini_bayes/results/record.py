@@ -15,6 +15,8 @@ from cassini_bayes.files.netcdf import read_groups, sealed
 from cassini_bayes.files.storage import write_bytes
 from cassini_bayes.model.terms import Variable
 
+FIT_FILE: Final = "fit.nc"
+"""Name of a fit in the folder of its run."""
 GROUPS: Final = (
     "posterior",
     "posterior_predictive",

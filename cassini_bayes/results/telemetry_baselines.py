@@ -22,7 +22,6 @@ import pandas as pd
 
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.columns import effective_increments
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.computing.arrays import Array, joined, picked
 from cassini_bayes.model.event_reduction import ReducedEvent
 from cassini_bayes.model.posterior import Model
@@ -37,6 +36,7 @@ from cassini_bayes.results.baselines import (
     estimate_rows,
 )
 from cassini_bayes.spacecraft import thruster_directions
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.pulses import PULSE_SHAPES
 
 MEAN_OF_COUPLES: Final = "mean of the paired thrusters, per event"

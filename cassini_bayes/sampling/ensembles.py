@@ -53,8 +53,10 @@ class SamplerSettings:
     independence_share: float = 0.7
     seed: int = 2010
 
-    def walkers_for(self, dimensions: int) -> int:
+    def walkers_for(self, dimensions: int, where: str = "sampler.walkers") -> int:
         """Walkers per ensemble: even, at least four per dimension unless set.
+
+        ``where`` is what a refusal calls the setting.
 
         Raises
         ------
@@ -64,12 +66,29 @@ class SamplerSettings:
         wanted = self.walkers or max(4 * dimensions, 32)
         if wanted < 2 * dimensions:
             raise InputError(
-                "sampler.walkers",
+                where,
                 f"at least {2 * dimensions}, two for each of {dimensions} walked parameters",
                 str(wanted),
                 "raise it, or leave it out (four per parameter)",
             )
         return wanted + wanted % 2
+
+    def check_kept(self, draws_per_ensemble: int, where: str = "output.draws_per_ensemble") -> None:
+        """Refuse to keep fewer draws than ``target_ess`` effective ones need.
+
+        Raises
+        ------
+        InputError
+            Fewer than two draws for each effective one.
+        """
+        if self.ensembles * draws_per_ensemble < 2 * self.target_ess:
+            raise InputError(
+                where,
+                f"at least {-(-2 * self.target_ess // self.ensembles)}, so that the "
+                f"{self.ensembles} ensembles can hold {self.target_ess} effective draws",
+                str(draws_per_ensemble),
+                "keep more draws, or ask for a smaller target_ess",
+            )
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ def scenario_of(
     folder: str | Path = ".",
     where: str = "scenario",
     own: Mapping[str, Effect] = MappingProxyType({}),
+    craft: Spacecraft | None = None,
 ) -> ScenarioFile:
     """Check a scenario that is at hand as a mapping, as TOML gives it; no file needed.
 
@@ -105,6 +106,8 @@ def scenario_of(
         What error messages call it.
     own
         Effects by name beyond those that there are.
+    craft
+        The spacecraft, in place of that which the scenario names.
 
     Raises
     ------
@@ -113,7 +116,7 @@ def scenario_of(
     """
     scenario = validated(Scenario, document, where)
     folder = Path(folder)
-    spacecraft = _spacecraft(where, folder, scenario)
+    spacecraft = craft or _spacecraft(where, folder, scenario)
     scenario = _with_cycle(where, scenario, spacecraft.control_cycle_s)
     _check_wheels(where, scenario, spacecraft)
     ids = _check_events(where, scenario, spacecraft.highest_wheel_rpm)

@@ -49,7 +49,7 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
     rows = []
     for draw in range(min(seeds, learned.size)):
         document = _document(learned, request, draw)
-        file = scenario_of(document, ".", "predict --simulate")
+        file = scenario_of(document, where="predict --simulate", craft=learned.model.spacecraft)
         truth = draw_truth(file, seed + draw)
         event = file.scenario.event[0]
         plan = make_plan(file.scenario, file.spacecraft, event, truth)

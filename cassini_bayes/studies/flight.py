@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.files.checks import check_seed
 from cassini_bayes.report.shown import html_of, names_shown
 from cassini_bayes.simulation import read_scenario
 from cassini_bayes.studies.scenario import (
@@ -92,6 +93,7 @@ def simulate(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
+    check_seed(seed)
     sides = simulated_sides([Path(path) for path in effect_files])
     if folder is None:
         flown = simulate_file(read_scenario(scenario, sides), seed, log)

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from cassini_bayes.balance.measured_delta_v import on_time_columns, rows_at_rest
 from cassini_bayes.balance.physics import Physics, physics_of
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.event_reduction import sampling_of
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 ROWS_EVERY_S: Final = 10.0

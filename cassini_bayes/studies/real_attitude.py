@@ -23,11 +23,11 @@ import pandas as pd
 from scipy.optimize import minimize
 
 from cassini_bayes.balance.statistics.preparation import channel_step
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.published.attitude import AttitudeRecord, attitude_records
 from cassini_bayes.report.study_page import markdown_table, table_of
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.studies.study import Study
 
 MODULE: Final = "studies.real_attitude"

@@ -22,8 +22,10 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.effects.tables import Place, read_table
 from cassini_bayes.effects.user_files import guarded, load_module
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry.event import DESCRIPTION
 from cassini_bayes.events.totals import TotalsEvent, write_totals
 from cassini_bayes.files.checks import check_seed
+from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.reader import OF_CONTROLLERS, ZERO_CENTRED, Priors, read_priors
@@ -271,7 +273,8 @@ def simulate_scenario(
     Raises
     ------
     InputError
-        Anything wrong with the scenario, or a folder that holds something already.
+        Anything wrong with the scenario, or a folder that holds something already; with ``force``,
+        something of an event's name that is no event.
     """
     check_seed(seed, "--seed")
     file = read_scenario(path, own)
@@ -285,9 +288,23 @@ def simulate_scenario(
             "one with files in it",
             "choose another, or --force",
         )
+    _check_replaceable(folder, [event.id for event in file.scenario.event])
     simulation = simulate_file(file, seed, log)
     write_simulation(simulation, folder)
     return simulation
+
+
+def _check_replaceable(folder: Path, events: Sequence[str]) -> None:
+    """Refuse a place for events where something else stands, which replacing would destroy."""
+    for target in (folder / event for event in events):
+        is_event = exists(target / DESCRIPTION) and not target.is_symlink()
+        if exists(target) and not is_event:
+            raise InputError(
+                str(target),
+                f"nothing, or an event folder of an earlier simulation, with {DESCRIPTION}",
+                "something else of that name",
+                "move it away, or choose another --out",
+            )
 
 
 def simulated_sides(files: Sequence[Path]) -> dict[str, Effect]:
@@ -322,7 +339,7 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
         target = folder / event.plan.event.id
         if target.is_dir():
             shutil.rmtree(target)
-        write_text(target / "event.toml", event_text(event.plan, file.scenario.telemetry))
+        write_text(target / DESCRIPTION, event_text(event.plan, file.scenario.telemetry))
         write_text(target / "telemetry.csv", telemetry_text(event.telemetry))
     (folder / TOTALS_FILE).unlink(missing_ok=True)
     totals = simulation.totals()

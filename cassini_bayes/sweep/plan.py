@@ -20,7 +20,7 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.files.pieces import finished, run_pieces
 from cassini_bayes.priors.quantiles import standard_normal_log_density
-from cassini_bayes.results.record import Fit
+from cassini_bayes.results.record import FIT_FILE, Fit
 from cassini_bayes.spacecraft.parameters import THRUST_COMMON
 from cassini_bayes.sweep.cells import Baseline, Estimate, cell_arrays
 from cassini_bayes.sweep.models import (
@@ -69,8 +69,12 @@ class Sweep:
         return run_pieces(cell_arrays, self.baseline, tasks, store, workers)
 
 
-def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep:
+def plan(
+    factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str, fit_file: str = FIT_FILE
+) -> Sweep:
     """Read the draws of a fit and lay out the cells.
+
+    ``where`` and ``fit_file`` are what refusals call the sweep file and the fit's.
 
     Raises
     ------
@@ -98,8 +102,8 @@ def plan(factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str) -> Sweep
         batches=batch_labels(posterior.sizes["chain"], posterior.sizes["draw"]),
         seed=sweep.seed,
     )
-    _refuse_other_fit(model, z, baseline.log_likelihood)
-    _refuse_older_fit(model, factory, fit)
+    _refuse_other_fit(model, z, baseline.log_likelihood, fit_file)
+    _refuse_older_fit(model, factory, fit, fit_file)
     cells = grid_of(
         _groups(factory, sweep, where),
         model,
@@ -146,26 +150,26 @@ def _groups(factory: ModelFactory, sweep: SweepFile, where: str) -> tuple[Group,
     return tuple(blocks.values())
 
 
-def _refuse_other_fit(model: SweepModel, z: Array, log_likelihood: Array) -> None:
+def _refuse_other_fit(model: SweepModel, z: Array, log_likelihood: Array, fit_file: str) -> None:
     """Refuse draws whose stored log density the model does not give back."""
     rows = np.linspace(0, len(z) - 1, _CHECKED).astype(int)
     worst = float(np.max(np.abs(model.log_likelihood(z[rows]) - log_likelihood[rows])))
     if not worst < SAME_DENSITY:
         raise InputError(
-            "fit.nc",
+            fit_file,
             "a fit of these events and priors",
             f"log densities that differ by {worst:.3g}",
             "run the fit again: data, priors or the model have changed since",
         )
 
 
-def _refuse_older_fit(model: SweepModel, factory: ModelFactory, fit: Fit) -> None:
+def _refuse_older_fit(model: SweepModel, factory: ModelFactory, fit: Fit, fit_file: str) -> None:
     """Refuse a fit without log priors of a block: its power scaling would silently be left out."""
     kept = components(fit)
     for block in blocks_of(model, factory.priors):
         if block.name not in kept:
             raise InputError(
-                "fit.nc: log_prior",
+                f"{fit_file}: log_prior",
                 f"the block {block.name}",
                 ", ".join(name for name in kept if not name.startswith(LIKELIHOOD)),
                 "run the fit again with this version",

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import run_cases
 from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
@@ -261,6 +262,20 @@ def test_system_errors_are_one_line(
     message = refused(capsys, "run", str(run_cases.write_run(tmp_path)))
     assert "/dev/disk" in message
     assert os.strerror(errno.EIO) in message
+
+
+def test_too_little_memory_is_one_line(
+    capsys: Captured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is asked for does not fit: said, with what to ask less of, exit 2."""
+
+    def broken(*_: object, **__: object) -> None:
+        np.empty(10**18)
+
+    monkeypatch.setattr("cassini_bayes.pipeline.run.execute", broken)
+    message = refused(capsys, "run", str(run_cases.write_run(tmp_path)))
+    assert "not enough memory" in message
+    assert "fewer draws or walkers" in message
 
 
 def test_other_errors_of_the_package_end_with_one(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 import run_cases
 
@@ -61,6 +62,25 @@ def test_a_sweep_accepts_what_its_run_accepted(
     assert run_cases.command([*sweep, "--strict"]) == 1
     assert {(tuple(run.accept), run.leave_out) for run in given} == {(("wheel-order",), True)}
     assert capsys.readouterr().err.splitlines() == ["warning: accepted (wheel-order)"] * 2
+
+
+@pytest.mark.parametrize(("rule", "status"), [("all criteria met", 0), ("R-hat", 1)])
+def test_an_extended_fit_that_has_not_converged_is_no_success(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    rule: str,
+    status: int,
+) -> None:
+    """`diagnose --then-fit` says so, with what did not hold, and ends with 1."""
+    table = pd.DataFrame()
+    table.attrs["stop_rule"] = rule
+    result = SimpleNamespace(record={"findings": []}, sentences=["nothing"], fit=lambda **_: table)
+    monkeypatch.setattr("cassini_bayes.pipeline.diagnoses.diagnose", lambda *_, **__: result)
+    events = str(run_cases.FLIGHT)
+    diagnose = ["diagnose", events, "--priors", "p", "--out", str(tmp_path), "--then-fit"]
+    assert run_cases.command(diagnose) == status
+    assert ("NOT CONVERGED: R-hat" in capsys.readouterr().err) == (status == 1)
 
 
 @pytest.mark.parametrize("findings", [[], ["t.csv: accepted (wheel-order)"]])

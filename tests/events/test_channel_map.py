@@ -411,6 +411,93 @@ def test_a_map_says_where_a_counter_wraps(tmp_path: Path) -> None:
             load_event(read_event(folder, CASSINI), CASSINI)
 
 
+def on_times_by_column(keys: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The map with a table for every on-time, counting up in ms, some of them with other keys."""
+    channels = {name: table for name, table in MAP["channels"].items() if name != "on_time"}
+    for name in THRUSTERS:
+        table = {"source": f"T_{name}", "unit": "ms", **keys.get(name, {})}
+        channels[f"on_time_{name}_s"] = table
+    return {**MAP, "channels": channels}
+
+
+def counted_up(own: pd.DataFrame, first_ms: float, sizes_ms: Mapping[str, float]) -> pd.DataFrame:
+    """On-times in ms from a first one on, each of which starts again at 0 where it has a size."""
+    frame = foreign_frame(own)
+    for name in THRUSTERS:
+        frame[f"T_{name}"] = 1000.0 * own[f"on_time_{name}_s"] + first_ms
+        if name in sizes_ms:
+            frame[f"T_{name}"] %= sizes_ms[name]
+    return frame
+
+
+def read_on_times(frame: pd.DataFrame, table: Mapping[str, Any]) -> Any:
+    """On-times (n, K) that a map makes of a frame."""
+    return load_event(event_from_frame(frame, DESCRIPTION, CASSINI, table), CASSINI).on_time_s
+
+
+def test_every_column_of_a_counter_wraps_at_its_own_size() -> None:
+    """Two on-times wrap, at 2.3 and 3.1 s; one that is wider than both passes them. The size of
+    another column is not believed.
+    """
+    own = own_frame()
+    sizes = {"z1": 2300.0, "z2": 3100.0}
+    frame = counted_up(own, 1700.0, sizes)
+    gained = own[[f"on_time_{name}_s" for name in THRUSTERS]].to_numpy()
+    assert 1.7 + gained[-1, 2] > 2.3
+    said: dict[str, dict[str, Any]] = {name: {"wraps_at": size} for name, size in sizes.items()}
+    read = read_on_times(frame, on_times_by_column(said))
+    np.testing.assert_allclose(read - read[0], gained, atol=1e-9)
+    swapped = {"z1": said["z2"], "z2": said["z1"]}
+    with pytest.raises(InputError, match=r"z1.*wraps at another size than 3\.1 s"):
+        read_on_times(frame, on_times_by_column(swapped))
+
+
+def test_the_size_of_a_wrap_that_was_seen_is_that_of_columns_without_one() -> None:
+    """A usual size that one counter showed holds for the next, beside one of an own size."""
+    own = own_frame(120)
+    sizes = {"z1": 12_300.0, "z2": 20_480.0, "z3": 20_480.0}
+    frame = counted_up(own, 0.0, {})
+    for name, first in (("z1", 12_000.0), ("z2", 20_100.0), ("z3", 19_000.0)):
+        frame[f"T_{name}"] = (1000.0 * own[f"on_time_{name}_s"] + first) % sizes[name]
+    gained = own[[f"on_time_{name}_s" for name in THRUSTERS]].to_numpy()
+    table = on_times_by_column({"z1": {"wraps_at": 12_300.0}})
+    read = read_on_times(frame, table)
+    np.testing.assert_allclose(read - read[0], gained, atol=1e-9)
+    frame["T_y1"] += 21_000.0
+    with pytest.raises(InputError, match=r"on_time_y1_s.*counts below 20\.48 s"):
+        read_on_times(frame, table)
+
+
+@pytest.mark.parametrize(
+    ("keys", "offset_s"),
+    [
+        ({"offset": 500.0}, 0.5),
+        ({"offset": -2000.0}, -2.0),
+        ({"unit": "s", "scale": 0.001, "offset": 0.5}, 0.5),
+    ],
+)
+def test_a_counter_wraps_where_it_does_without_its_offset(
+    keys: dict[str, Any], offset_s: float
+) -> None:
+    """An offset moves what is shown, not where the counter starts again; another size is refused,
+    and so is a count beyond it or below 0.
+    """
+    own = own_frame()
+    frame = counted_up(own, 1900.0, dict.fromkeys(THRUSTERS, 2500.0))
+    gained = own[[f"on_time_{name}_s" for name in THRUSTERS]].to_numpy()
+    keys = {**keys, "kind": "cumulative"}
+    read = read_on_times(frame, changed("on_time", **keys, wraps_at=2500.0))
+    np.testing.assert_allclose(read, 1.9 + offset_s + gained, atol=1e-9)
+    with pytest.raises(InputError, match=r"wraps at another size than 2\.3 s"):
+        read_on_times(frame, changed("on_time", **keys, wraps_at=2300.0))
+    flat = counted_up(own, 0.0, {})
+    with pytest.raises(InputError, match=rf"counts below {2.3 + offset_s:.10g} s"):
+        read_on_times(flat, changed("on_time", **keys, wraps_at=2300.0))
+    flat["T_z1"] -= 3000.0
+    with pytest.raises(InputError, match=f"expected {min(offset_s, 0.0):.10g} or more, in s"):
+        read_on_times(flat, changed("on_time", **keys, wraps_at=2500.0))
+
+
 @pytest.mark.parametrize("wheels", [(1, 2, 4), np.array([1, 2, 4])])
 def test_wheels_may_be_any_sequence_in_python(wheels: Any) -> None:
     """A tuple or an array is as good as a list."""
@@ -441,6 +528,28 @@ def test_what_is_no_frame_and_text_in_one_are_named() -> None:
         InputError, match=r"row 6, column rwa1_rpm: expected a number, .* got 'bad'"
     ):
         load_event(event_from_frame(frame, DESCRIPTION, CASSINI), CASSINI)
+
+
+@pytest.mark.parametrize("kind", ["string", object])
+def test_a_missing_date_is_named_whatever_stands_for_it(kind: Any) -> None:
+    """pandas has NA in columns of text: in one of dates its row is named, elsewhere it is well."""
+    frame = foreign_frame(own_frame()).astype({"UTC": kind, "MODE": kind})
+    frame.loc[3, "MODE"] = pd.NA
+    same(load_event(event_from_frame(frame, DESCRIPTION, CASSINI, MAP), CASSINI),
+         expected(own_frame()))  # fmt: skip
+    frame.loc[5, "UTC"] = pd.NA
+    with pytest.raises(InputError, match=r"row 6, column time_s .*expected a time in s"):
+        load_event(event_from_frame(frame, DESCRIPTION, CASSINI, MAP), CASSINI)
+
+
+def test_arrays_in_cells_of_a_frame_are_refused_where_they_are_read() -> None:
+    """In a column of dates they are no text; in one that is ignored they may stand."""
+    frame = foreign_frame(own_frame())
+    lists = pd.Series([np.zeros(2)] * len(frame), dtype=object)
+    event = event_from_frame(frame.assign(MODE=lists), DESCRIPTION, CASSINI, MAP)
+    same(load_event(event, CASSINI), expected(own_frame()))
+    with pytest.raises(InputError, match=r"column UTC: expected dates as text, got ndarray"):
+        load_event(event_from_frame(frame.assign(UTC=lists), DESCRIPTION, CASSINI, MAP), CASSINI)
 
 
 def test_a_date_of_digits_is_no_number(tmp_path: Path) -> None:

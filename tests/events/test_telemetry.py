@@ -33,6 +33,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import Chunk, Mends, load_event, read_chunks, read_event
 from cassini_bayes.events.telemetry.counters import wrap_sizes
 from cassini_bayes.events.telemetry.csv_file import CsvTable
+from cassini_bayes.events.telemetry.event import event_path
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
@@ -278,6 +279,15 @@ def test_too_many_rows_at_once_are_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 # ---------------------------------------------------------------- event.toml
+
+
+def test_an_event_named_by_its_file_is_the_folder(tmp_path: Path) -> None:
+    """There or not; a folder of that name is one, and any other path stays as it was written."""
+    named = tmp_path / "a" / "event.toml"
+    assert event_path(named) == event_path(str(named)) == str(tmp_path / "a")
+    named.mkdir(parents=True)
+    for path in (str(named), "./totals.csv:event.toml", "a//b/"):
+        assert event_path(path) == path
 
 
 def test_an_event_is_described(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from event_cases import document, priors, turned_about
 
 from cassini_bayes.events.plausibility import STRICT
 from cassini_bayes.model.event_reduction import ReducedEvent
-from cassini_bayes.model.gather import Read, gather, together
+from cassini_bayes.model.gather import Read, each_event, gather, together
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file
@@ -28,6 +28,13 @@ def test_an_event_may_be_given_by_its_file() -> None:
     assert isinstance(one, ReducedEvent)
     assert isinstance(other, ReducedEvent)
     np.testing.assert_array_equal(one.statistics.gram, other.statistics.gram)
+
+
+def test_events_named_by_their_file_are_recorded_as_folders() -> None:
+    """So that what a run or a diagnosis writes down is found again; all else stays as it is."""
+    others = (str(EVENT), "./totals.csv:one", turned_about("x")[0])
+    assert each_event([EVENT / "event.toml", *others]) == (str(EVENT), *others)
+    assert each_event(str(EVENT / "event.toml")) == (str(EVENT),)
 
 
 @pytest.mark.parametrize("axes", ["xy", "xyz"])

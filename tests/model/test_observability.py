@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import tomli_w
 from event_cases import PRIORS, events, model
 from totals_cases import flight
 
@@ -121,3 +123,26 @@ def test_the_words_name_what_is_tied_together() -> None:
     assert seen.sentences[0].startswith("Expected before sampling")
     blind = observability(model("bias")).table["ratio"].max()
     assert blind == pytest.approx(1.0, abs=1e-6)
+
+
+def test_nothing_that_is_asked_for_is_said_and_no_error(tmp_path: Path) -> None:
+    """Slews with all but the noise fixed: an empty table, a sentence, and a model all the same."""
+    free = model("slews")
+    table = tomllib.loads(PRIORS.read_text("utf-8"))
+    walked = zip(free.space.names, free.space.blocks, free.space.distributions, strict=True)
+    for name, block, prior in walked:
+        if block != "noise":
+            entry = table["parameters"][name]
+            middle = float(prior.quantile_of_standard(np.zeros(1))[0])
+            kept = {key: entry[key] for key in ("unit", "source") if key in entry}
+            table["parameters"][name] = {"fixed": middle, **kept}
+    path = tmp_path / "priors.toml"
+    path.write_text(tomli_w.dumps(table), encoding="utf-8")
+    noise = build_model(events("slews"), read_priors(path))
+    assert set(noise.space.blocks) == {"noise"}
+    seen = observability(noise)
+    assert seen.table.empty
+    assert list(seen.table.columns[:3]) == ["quantity", "block", "unit"]
+    assert seen.sentences == (
+        "Thrust levels, inertia and all nuisances but noise are fixed: nothing to see.",
+    )

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from event_cases import PRIORS, priors, simulated
-from run_cases import command
+import run_cases
+from event_cases import PRIORS, ROOT, priors, simulated
+from run_cases import FLIGHT, command, small_table
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arviz_import import arviz, corner
@@ -208,6 +209,18 @@ def test_bad_calls_are_one_line(tmp_path: Path) -> None:
                 call(simulated() / "bias", PRIORS, seed=seed)
     with pytest.raises(InputError, match="a run file alone"):
         cb.fit("runs/flight_2009_2010.toml", PRIORS)
+    for said in ({"report": False}, {"draws_per_ensemble": 600}, {"prior_draws": 600}):
+        with pytest.raises(InputError, match="a run file alone"):
+            cb.fit("runs/flight_2009_2010.toml", **said)
+    row = cb.read_totals(FLIGHT, priors().spacecraft)[0]
+    for one in (row, cb.build_model(simulated() / "bias", PRIORS)):
+        with pytest.raises(InputError, match="named by their paths"):
+            cb.fit(one, PRIORS, folder=tmp_path / "x")
+    for call in (cb.fit, cb.diagnose):
+        with pytest.raises(InputError, match="events: expected at least one path, got none"):
+            call([], PRIORS, folder=tmp_path / "x")
+    with pytest.raises(InputError, match=r"small.toml: accept: expected one of"):
+        cb.fit(run_cases.write_run(tmp_path, small_table() | {"accept": ["nothing"]}))
     with pytest.raises(InputError, match="expected a priors file, got none"):
         cb.check(simulated() / "bias")
     with pytest.raises(InputError, match="a model alone"):
@@ -239,3 +252,38 @@ def test_the_report_command_goes_on_from_the_stored_draws(
     assert written[0][0].summary.equals(stored.review.summary)
     assert command(["report", str(tmp_path), "--quiet"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_what_a_caller_gives_of_the_sampler_is_what_the_file_has_not(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A setting that is given counts, also where it is the default; others stay the file's."""
+    seen: list[Any] = []
+
+    def execute(run: Any, *_: object, **__: object) -> Any:
+        seen.append(run.sampler)
+        raise InputError("stop", "here", "here", "here")
+
+    monkeypatch.setattr(fits, "execute", execute)
+    table = small_table() | {
+        "sampler": {"ensembles": 8, "max_steps": 20_000, "seed": 7},
+        "output": {},
+    }
+    path = run_cases.write_run(tmp_path, table)
+    given = {"ensembles": 4, "max_steps": 5_000}
+    with pytest.raises(InputError, match="stop"):
+        cb.fit(path, sampler=given)
+    assert (seen[-1].ensembles, seen[-1].max_steps, seen[-1].seed) == (4, 5_000, 7)
+    # a first check that nobody gave is no reason to refuse fewer steps
+    with pytest.raises(InputError, match="stop"):
+        cb.fit(simulated() / "bias", PRIORS, sampler={"max_steps": 100}, folder=tmp_path / "x")
+    assert seen[-1].max_steps == 100
+
+
+def test_seeds_are_checked_by_every_call(tmp_path: Path) -> None:
+    """Minus one is no seed of anything."""
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    with pytest.raises(InputError, match="seed: expected a whole number from 0"):
+        cb.simulate(scenario, seed=-1)
+    with pytest.raises(InputError, match="seed: expected a whole number from 0"):
+        cb.plan(tmp_path, "thrust_mean_n", seed=-1)

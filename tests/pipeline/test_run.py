@@ -6,6 +6,7 @@ import csv
 import errno
 import json
 import os
+import shutil
 import tomllib
 import warnings
 from collections.abc import Callable
@@ -102,6 +103,23 @@ def test_a_run_folder_is_complete(finished: Outcome) -> None:
     assert read_fit(folder / "fit.nc").posterior.sizes["event"] == len(EVENTS)
     assert not finished.converged  # a hundred steps are not enough, and it says so
     assert "limit" in finished.review.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"output": {"draws_per_ensemble": 500}}, "test: output.draws_per_ensemble: expected"),
+        ({"sampler": {"ensembles": 2, "walkers": 2, "target_ess": 100}}, "run: sampler.walkers"),
+    ],
+)
+def test_settings_that_cannot_be_used_cost_no_earlier_run(
+    finished: Outcome, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    """With --force they are refused before anything is removed, and name the file they are of."""
+    folder = shutil.copytree(finished.folder, tmp_path / "run")
+    with pytest.raises(InputError, match=message):
+        do(run_of(**{"sampler": {"target_ess": 10_000}, **changes}), folder, force=True)
+    assert (folder / "fit.nc").read_bytes() == (finished.folder / "fit.nc").read_bytes()
 
 
 def test_settings_are_written_before_sampling(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from pathlib import Path
 
@@ -76,6 +77,44 @@ def test_all_wheels_that_have_columns_are_chosen(tmp_path: Path) -> None:
     assert "map or ignore THR_9_CNT, P1_ON." in text
     write_starting_files(tmp_path / "bare", str(TWELVE))
     assert read_priors(tmp_path / "bare" / "priors.toml").wheels == (1, 2, 3)
+
+
+def test_what_cannot_be_printed_breaks_no_file(tmp_path: Path) -> None:
+    """Line breaks and control characters in names of columns and files, and in cells, are escaped:
+    the files are valid at once, and name the same once the marks are away.
+    """
+    columns = {
+        "time\n": ["a\rb = 1"],
+        "P1_\x7fON": ["1"],
+        "MO\nDE\x01": ["x\ny = 3"],
+        "🛰\t": ["\x85"],
+    }
+    rates = {f"rate\n{axis}": ["0"] for axis in "xyz"}
+    data = tmp_path / "da\nta\x7f🛰.parquet"
+    pd.DataFrame(columns | rates).to_parquet(data)
+    craft = tmp_path / "🛰\x7f.toml"
+    craft.write_bytes(TWELVE.read_bytes())
+    folder = tmp_path / "mine"
+    files = write_starting_files(folder, str(craft), [data])
+    tables = {path.name: tomllib.loads(path.read_text("utf-8")) for path in files}
+    assert (folder / tables["priors.toml"]["spacecraft"]["file"]).resolve() == craft
+    assert (files[2].parent / tables["event.toml"]["telemetry"]).resolve() == data
+    text = (folder / "channels.toml").read_text("utf-8")
+    assert "map or ignore P1_\\U0000007fON." in text
+    assert all(line.isprintable() for line in text.split("\n"))
+    proposed = tomllib.loads(text.replace(PROPOSED, ""))
+    assert proposed["ignore"] == ["MO\nDE\x01", "🛰\t"]
+    assert proposed["channels"]["time"]["source"] == "time\n"
+    assert proposed["channels"]["rate"]["source"] == list(rates)
+
+
+def test_a_path_that_toml_cannot_have_is_refused(tmp_path: Path) -> None:
+    """A name of other bytes than UTF-8: one line, and nothing is written."""
+    data = tmp_path / os.fsdecode(b"d\xff.csv")
+    data.write_text("time,x\n0,1\n")
+    with pytest.raises(InputError, match=r"d\\udcff\.csv: expected a path of UTF-8 characters"):
+        write_starting_files(tmp_path / "mine", "cassini", [data])
+    assert not (tmp_path / "mine").exists()
 
 
 def test_nothing_is_replaced(tmp_path: Path) -> None:

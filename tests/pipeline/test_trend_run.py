@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,8 @@ from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.inputs import read_mission
 from cassini_bayes.model.mission.mission_file import read_mission_file
+from cassini_bayes.pipeline import trend_run
+from cassini_bayes.results.mission.fitting import MissionFit
 from cassini_bayes.results.record import read_fit
 
 MISSION = """
@@ -173,8 +177,9 @@ def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> Non
     observed = fit.groups["observed_data"]["on_time_s"].values
     simulated = fit.groups["posterior_predictive"]["on_time_s"]
     assert simulated.shape[2:] == observed.shape
-    mixed = run.invoke(app, [*arguments, "--effect", "thruster_leak:z3"])
-    assert "no option about effects" in str(mixed.exception)
+    for option in (["--effect", "thruster_leak:z3"], ["--force"], ["--resume"], ["--no-report"]):
+        mixed = run.invoke(app, [*arguments, *option])
+        assert "no option about effects" in str(mixed.exception)
 
 
 def test_mistakes_in_a_mission_are_refused(tmp_path: Path, priors: Path) -> None:
@@ -211,3 +216,43 @@ def test_the_mission_of_the_reference_runs(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["trend", str(example), "--out", str(out), "--quiet"])
     assert result.exit_code == 0, result.output
     assert "2012-01-01" in (out / "report.html").read_text("utf-8")
+
+
+def test_a_run_stays_what_it_is_of(tmp_path: Path, priors: Path) -> None:
+    """A trend into the folder of a run or diagnosis would replace half of it: it is refused."""
+    mission = write_mission(tmp_path, priors, IDS[:1])
+    (tmp_path / "resolved.toml").write_text("", "utf-8")
+    for command in (["trend"], ["fit", f"{FLIGHT}:{IDS[0]}", "--mission"]):
+        refused = CliRunner().invoke(app, [*command, str(mission), "--out", str(tmp_path)])
+        assert "a run or diagnosis (with resolved.toml)" in str(refused.exception)
+
+
+def test_the_rows_that_a_mission_file_asks_for_are_those_of_its_fit(
+    tmp_path: Path, priors: Path
+) -> None:
+    """`source` of the mission file counts where the command line says nothing else."""
+    mission = write_mission(tmp_path, priors, IDS[:1])
+    text = mission.read_text("utf-8")
+    mission.write_text('source = "nobody"\n' + text, "utf-8")
+    arguments = ["fit", str(FLIGHT), "--mission", str(mission), "--out", str(tmp_path / "out")]
+    refused = CliRunner().invoke(app, arguments)
+    assert "nobody" in str(refused.exception)
+
+
+def test_a_trend_of_too_few_draws_is_written_all_the_same(
+    tmp_path: Path, priors: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pareto k̂ of fewer than five weights is infinite: null in the record, and exit status 1."""
+    fitted = trend_run.fit_mission
+
+    def poor(*args: Any, **named: Any) -> MissionFit:
+        return replace(fitted(*args, **named), pareto_k=np.inf)
+
+    monkeypatch.setattr(trend_run, "fit_mission", poor)
+    mission, out = write_mission(tmp_path, priors, IDS[:1]), tmp_path / "out"
+    done = CliRunner().invoke(app, ["trend", str(mission), "--out", str(out), "--no-report"])
+    assert done.exit_code == 1, done.output
+    assert "NOT CONVERGED" in done.output
+    record = json.loads((out / "trend.json").read_text("utf-8"))
+    assert record["pareto_k"] is None
+    assert record["converged"] is False

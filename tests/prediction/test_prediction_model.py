@@ -31,7 +31,6 @@ from cassini_bayes.prediction.predict import SOURCES, Prediction, predict
 from cassini_bayes.prediction.regressions import conditional, regress
 from cassini_bayes.prediction.requests import parse_bias, request_of
 from cassini_bayes.prediction.scores import covered, crps, interval_score
-from cassini_bayes.prediction.summary import body_to_inertial
 from cassini_bayes.prediction.wheel_profile import (
     WheelManager,
     duration_s,
@@ -428,12 +427,6 @@ def test_interval_score_and_coverage() -> None:
     assert not covered(draws, 0.04)
 
 
-def test_body_to_inertial_is_a_rotation_library_s() -> None:
-    """scipy's rotation of the inertial-to-body quaternion's inverse; q and −q are alike."""
-    from scipy.spatial.transform import Rotation
-
-    q: Array = np.array([0.1, -0.4, 0.5, 0.3])
-    q /= np.linalg.norm(q)
-    np.testing.assert_allclose(body_to_inertial(q), Rotation.from_quat(q).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(body_to_inertial(q), body_to_inertial(-q), atol=1e-15)
+def test_learning_keeps_every_draw() -> None:
+    """As many as the fit had."""
     assert learned().size == SIZE

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from prediction_cases import model
+from event_cases import simulated
+from prediction_cases import model, write_run_folder
+from totals_cases import B_BRANCH
 
 from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.errors import InputError
+from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.files.storage import digest
-from cassini_bayes.prediction.sources import locate, sources_of
+from cassini_bayes.prediction.sources import locate, read_sources, sources_of
 
 
 def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
@@ -31,6 +35,27 @@ def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
     table.unlink()
     with pytest.raises(InputError, match="got no such file; name it with --priors"):
         locate(run / "fit.nc", "inputs/priors.toml", "--priors")
+
+
+def test_an_event_named_by_its_file_is_found_and_read(tmp_path: Path) -> None:
+    """``event.toml`` in a run's record has the event's digest: unchanged it is found, and only so.
+    Named with ``events`` it stands for its folder as well.
+    """
+    named, priors = str(tmp_path / "ev" / "event.toml"), model().priors
+    shutil.copytree(simulated() / "bias", tmp_path / "ev")
+    fit = write_run_folder(tmp_path)
+    event = read_event(tmp_path / "ev", priors.spacecraft)
+    record = {"sha256": {named: event.digest}, "base": ""}
+    (fit.parent / "provenance.json").write_text(json.dumps(record))
+    assert locate(fit, named, "--events", priors) == tmp_path / "ev"
+    with pytest.raises(InputError, match="got no such file"):  # no folder around is the event
+        locate(fit, "event.toml", "--events", priors)
+    sources = read_sources(fit, named, B_BRANCH)
+    assert [row.id for row in sources.events] == [event.id]
+    with Path(named).open("a") as stream:
+        stream.write("# changed\n")
+    with pytest.raises(InputError, match="which has changed"):
+        locate(fit, named, "--events", priors)
 
 
 def test_what_telemetry_did_not_need_is_asked_for_at_once() -> None:

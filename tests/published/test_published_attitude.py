@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.published.attitude import attitude_records
+from cassini_bayes.spacecraft.attitude import direction_cosines
 
 
 def test_rates_and_turns_of_the_attitude_tell_the_same_motion() -> None:

@@ -21,6 +21,7 @@ from cassini_bayes.prediction.ground_software import (
     ground_prediction,
     prior_parameters,
 )
+from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.leave_one_out import column_difference, fold, skill
 from cassini_bayes.prediction.navigation import requirements, spread
 from cassini_bayes.prediction.physics import (
@@ -41,7 +42,7 @@ from cassini_bayes.prediction.planning import (
     quantity_draws,
 )
 from cassini_bayes.prediction.predict import predict
-from cassini_bayes.prediction.requests import parse_bias, request_of
+from cassini_bayes.prediction.requests import BiasRequest, parse_bias, request_of
 from cassini_bayes.prediction.summary import as_csv, as_text, lines
 from cassini_bayes.report.plots.prediction import (
     leave_one_out_figure,
@@ -50,6 +51,7 @@ from cassini_bayes.report.plots.prediction import (
     requirement_figure,
     totals_figure,
 )
+from cassini_bayes.spacecraft.description import Spacecraft
 from cassini_bayes.studies.closed_loop import simulate_request
 from cassini_bayes.studies.prediction import page_body
 from cassini_bayes.studies.prediction.findings import (
@@ -544,3 +546,25 @@ def test_the_closed_loop_flies_the_same_bias() -> None:
     busy = predicted > 2.0
     assert busy.any()
     np.testing.assert_allclose(flown.on_time_s.mean(0)[busy], predicted[busy], rtol=0.2)
+
+
+def test_the_closed_loop_flies_the_spacecraft_of_the_fit() -> None:
+    """That of the fit's priors and not the one that the package has under its name."""
+    request = parse_bias("rwa1: -700 -> -300, rwa4: -400 -> -600", model().spacecraft)
+    other = replace(model().spacecraft, name="observer", control_cycle_s=0.5)
+    fit = learned()
+    own = replace(fit, model=replace(fit.model, spacecraft=other))
+    with pytest.raises(InputError, match="flown"):
+        _flown_with(own, request)
+
+
+def _flown_with(own: Learned, request: BiasRequest) -> None:
+    """Stops where the plan is made, with the spacecraft in it."""
+    with pytest.MonkeyPatch.context() as patch:
+
+        def stop(_: object, spacecraft: Spacecraft, *__: object) -> None:
+            assert spacecraft is own.model.spacecraft
+            raise InputError("flown", "stop", "stop", "stop")
+
+        patch.setattr("cassini_bayes.simulation.make_plan", stop)
+        simulate_request(own, request, 1, 1)

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.studies.blind import rate_information as module
 from cassini_bayes.studies.blind.rate_information import rate_information
 

@@ -28,6 +28,7 @@ from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import ScenarioFile, read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
+from cassini_bayes.studies import scenario
 from cassini_bayes.studies.scenario import draw_truth, simulate_file, simulate_scenario
 
 ROOT = Path(__file__).parents[2]
@@ -397,6 +398,33 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path) -> None:
         simulate_scenario(path, tmp_path / "out", 2)
     simulate_scenario(path, tmp_path / "out", 2, force=True)
     assert json.loads((tmp_path / "out" / "truth.json").read_text())["seed"] == 2
+
+
+@pytest.mark.parametrize("kind", ["folder", "file", "link"])
+def test_what_is_no_event_is_never_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """A folder, file or link of the user's that has an event's id: refused before anything is
+    simulated, written or removed. Once it is away, what an earlier simulation left is replaced.
+    """
+    out = tmp_path / "out"
+    path = written(tmp_path)
+    (out / "one").mkdir(parents=True)
+    (out / "one" / "event.toml").write_text("earlier")
+    mine = {"folder": out / "two" / "index.md", "file": out / "two", "link": tmp_path / "mine"}
+    mine[kind].parent.mkdir(exist_ok=True)
+    mine[kind].write_text("mine")
+    if kind == "link":
+        (out / "two").symlink_to(out / "one")
+    before = files(out)
+    with monkeypatch.context() as patched:
+        patched.setattr(scenario, "simulate_file", None)
+        with pytest.raises(InputError, match=r"out/two: expected nothing, or an event folder"):
+            simulate_scenario(path, out, 1, force=True)
+    assert files(out) == before
+    (out / "two").rename(tmp_path / "moved")
+    simulate_scenario(path, out, 1, force=True)
+    assert "earlier" not in (out / "one" / "event.toml").read_text()
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)

@@ -22,9 +22,9 @@ from cassini_bayes.balance.rounded_wheels import (
 )
 from cassini_bayes.balance.statistics.rows import SAME_S, Samples
 from cassini_bayes.balance.statistics.sampling import Sampling
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array, Flags, Places
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 SECOND: Final = 6.0  # variance of a second difference over that of a value

@@ -31,9 +31,10 @@ from cassini_bayes.balance.statistics.rows import (
     rows_at_readings,
 )
 from cassini_bayes.balance.statistics.sampling import RowContext, Sampling
-from cassini_bayes.balance.statistics.turning import direction_cosines, turned_into_body
+from cassini_bayes.balance.statistics.turning import turned_into_body
 from cassini_bayes.balance.statistics.walk import walk_columns
 from cassini_bayes.computing.arrays import Array, Flags, Places, joined, picked
+from cassini_bayes.spacecraft.attitude import direction_cosines
 
 MOST_WAITING = 1_000_000  # rows of ceaseless firing that are kept waiting for it to end
 

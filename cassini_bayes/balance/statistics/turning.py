@@ -1,8 +1,6 @@
-"""From inertial into body axes: rotation matrices, and columns turned row by row, compiled."""
+"""From inertial into body axes: columns turned row by row, compiled."""
 
 from __future__ import annotations
-
-import numpy as np
 
 from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.compilation import compiled_sums
@@ -31,19 +29,3 @@ def turned_into_body(
             x, y, z = body[t, c, 0], body[t, c, 1], body[t, c, 2]
             for a in range(held.shape[1]):
                 out[t, c, a] = x * held[0, a] + y * held[1, a] + z * held[2, a]
-
-
-def direction_cosines(attitude: Array) -> Array:
-    """Inertial-to-body matrices (N, 3, 3) of Euler parameters (N, 4), scalar last.
-
-    C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×].
-    """
-    vector, scalar = attitude[:, :3], attitude[:, 3]
-    matrix = 2.0 * vector[:, :, None] * vector[:, None, :]
-    diagonal = scalar**2 - (vector**2).sum(1)
-    for axis in range(3):
-        matrix[:, axis, axis] += diagonal
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrix[:, i, j] += 2.0 * scalar * vector[:, k]
-        matrix[:, j, i] -= 2.0 * scalar * vector[:, k]
-    return np.asarray(matrix)

@@ -1,4 +1,4 @@
-"""Attitudes as matrices, as turns from one to the next, and in other conventions."""
+"""Attitudes as turns from one to the next, and in other conventions."""
 
 from __future__ import annotations
 
@@ -10,18 +10,6 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 
 _CONJUGATE: Final = np.array([-1.0, -1.0, -1.0, 1.0])
-
-
-def body_to_inertial(attitude: Array) -> Array:
-    """Cᵀ (n, 3, 3) of C = (q4² − q·q) 1 + 2 q qᵀ − 2 q4 [q×], of attitudes (n, 4)."""
-    q, q4 = attitude[:, :3], attitude[:, 3]
-    matrix = 2.0 * q[:, :, None] * q[:, None, :]
-    matrix += (q4 * q4 - np.einsum("ij,ij->i", q, q))[:, None, None] * np.eye(3)
-    zero = np.zeros(len(q))
-    cross = np.array(
-        [[zero, -q[:, 2], q[:, 1]], [q[:, 2], zero, -q[:, 0]], [-q[:, 1], q[:, 0], zero]]
-    ).transpose(2, 0, 1)
-    return np.asarray(matrix + 2.0 * q4[:, None, None] * cross)
 
 
 def turns_rad(attitude: Array) -> Array:

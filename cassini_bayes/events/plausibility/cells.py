@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.plausibility.attitudes import body_to_inertial
 from cassini_bayes.events.plausibility.departures import Nominal
 from cassini_bayes.events.telemetry import Chunk
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 LEAST_ROWS: Final = 20  # the robust spread of fewer is off by a quarter (1.17/√n): none is asked
@@ -70,7 +70,7 @@ class CellSearch:
         cells = np.concatenate([chunk.rate_rad_s[rows], chunk.wheel_rpm[rows]], axis=1)
         spins = self.nominal.spins * RAD_S_PER_RPM
         weights = np.concatenate([self.nominal.inertia, spins], axis=1)  # (3, 3 + W)
-        turn = body_to_inertial(chunk.attitude[rows])
+        turn = direction_cosines(chunk.attitude[rows]).transpose(0, 2, 1)
         slack = np.zeros(len(rows))
         impulse = np.zeros((len(rows), 3))
         if fires:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.events.plausibility.attitudes import body_to_inertial
 from cassini_bayes.events.plausibility.departures import (
     CUT_MODES,
     DRIFT_MODES,
@@ -38,6 +37,7 @@ from cassini_bayes.events.plausibility.departures import (
     free_columns,
 )
 from cassini_bayes.events.plausibility.rows import Rows
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 WARM_UP_S: Final = 5.0  # of firing: the median of the catalogue's warmup_time_s
@@ -311,7 +311,7 @@ def momentum_of(
     ``along``: a body axis (3,) along which nothing is known, so that rows speak of the plane across
     it alone: the columns are those of a wheel that says nothing.
     """
-    turn = body_to_inertial(rows.attitude)
+    turn = direction_cosines(rows.attitude).transpose(0, 2, 1)
     count, wheels, thrusters = len(turn), rows.wheel_rpm.shape[1], rows.on_time_s.shape[1]
     columns = Columns(wheels, thrusters)
     table = np.zeros((count, 3, columns.size))

@@ -82,17 +82,30 @@ class Policy:
     leave_out: bool = False
 
     @classmethod
-    def of(cls, accepted: Sequence[str], *, leave_out: bool = False) -> Policy:
-        """From names.
+    def of(
+        cls, accepted: Sequence[str], *, leave_out: bool = False, where: str = "--accept"
+    ) -> Policy:
+        """From names, given ``where``.
 
         Raises
         ------
         InputError
             An unknown mistake.
         """
-        for name in accepted:
-            check_known("--accept", name, MISTAKES)
+        check_mistakes(accepted, where)
         return cls(frozenset(accepted), leave_out)
+
+
+def check_mistakes(names: Sequence[str], where: str) -> None:
+    """Refuse names that are of no mistake.
+
+    Raises
+    ------
+    InputError
+        An unknown mistake, with the nearest one.
+    """
+    for name in names:
+        check_known(where, name, MISTAKES)
 
 
 STRICT: Final = Policy()

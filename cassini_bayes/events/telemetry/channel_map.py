@@ -94,19 +94,31 @@ class ChannelMap:
         keys = [key for key in (channel, *columns) if key in self.channels]
         return any(self.channels[key].kind == "per_interval" for key in keys)
 
-    def wraps_at(self, channel: str, columns: Iterable[str] = ()) -> float | None:
-        """Where a counter, or one of its columns by its own key, starts again at 0, in our unit."""
-        for key in (channel, *columns):
-            table = self.channels.get(key)
-            if table is not None and table.wraps_at is not None:
-                unit, ours = table.unit or UNITS[channel], UNITS[channel]
-                factor = factor_to(unit, ours, f"{self.where}: channels.{key}.unit")
-                return table.wraps_at * factor * _scale_and_offset(table)[0]
-        return None
+    def wraps_at(self, channel: str, column: str) -> float | None:
+        """Where a counter's column starts again at 0, if that is said: in our unit, no offset."""
+        table = self.channels[self._key(channel, column)]
+        if table.wraps_at is None:
+            return None
+        return table.wraps_at * self._factor(channel, column) * _scale_and_offset(table)[0]
+
+    def offset(self, channel: str, column: str) -> float:
+        """What is shown of a counter's column where it counts 0, in our unit."""
+        table = self.channels[self._key(channel, column)]
+        return self._factor(channel, column) * _scale_and_offset(table)[1]
+
+    def _key(self, channel: str, column: str) -> str:
+        """Of the table that makes a column: its own, or that of the whole channel."""
+        return column if column in self.channels else channel
+
+    def _factor(self, channel: str, column: str) -> float:
+        """From the unit of a column to ours."""
+        key, ours = self._key(channel, column), UNITS[channel]
+        where = f"{self.where}: channels.{key}.unit"
+        return factor_to(self.channels[key].unit or ours, ours, where)
 
     def other_kind(self, channel: str, column: str) -> str:
         """Where the file says how a counter's column counts, and what it may have to say."""
-        key = column if column in self.channels else channel
+        key = self._key(channel, column)
         where = f"{self.where}: channels.{key}"
         if self.is_per_interval(key):
             return f'{where}.kind is "per_interval": write "cumulative" if the column counts up'

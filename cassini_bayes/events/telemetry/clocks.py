@@ -130,11 +130,11 @@ def seconds_of(values: NDArray[Any], read: TextReader, where: str) -> Array:
 
 
 def _seconds_of_cell(cell: object, read: TextReader, where: str) -> float:
-    if cell is None or cell == "" or cell != cell:  # what libraries put for "nothing"
+    if cell is None or (isinstance(cell, float) and np.isnan(cell)):
         return float("nan")
     if not isinstance(cell, str):
         raise InputError(where, "dates as text", type(cell).__name__, "write them as text")
-    return read(cell.strip(), where)
+    return read(cell.strip(), where) if cell else float("nan")
 
 
 def _of_the_year(found: re.Match[str]) -> str:

@@ -54,13 +54,18 @@ class Counter:
         size = len(self._columns)
         self._last: tuple[float, Array] | None = None
         self._wrapped = np.zeros(size)  # what wraps have taken away so far
-        self._highest = np.zeros(size)  # raw
+        self._highest = np.full(size, -np.inf)  # raw
         self._steepest = np.zeros(size)  # largest growth from one sample to the next
         # steps of which all that was gained is a multiple; pulses are whole numbers anyway
         self._grids: tuple[float, ...] = _GRIDS if channel == "on_time" else ()
-        # where the counters wrap: as the map says, else once one did
         self._names = layout.names(channel)
-        self._size = None if channel_map is None else channel_map.wraps_at(channel, self._names)
+        # where each counter wraps: as the map says, else once one did (NaN until then)
+        self._sizes = np.full(size, np.nan)
+        self._offsets = np.zeros(size)  # what is shown where a counter counts 0
+        if channel_map is not None:
+            sizes = [channel_map.wraps_at(channel, name) for name in self._names]
+            self._sizes = np.array(sizes, dtype=np.float64)
+            self._offsets = np.array([channel_map.offset(channel, name) for name in self._names])
         self._anew = channel_map is not None and channel_map.is_per_interval(channel, self._names)
 
     def checked(self, block: Block) -> Array:
@@ -96,9 +101,10 @@ class Counter:
 
     def _check_values(self, block: Block) -> None:
         fix = "check the columns: on-times are in on_time_…_s"
-        for column in self._columns:
-            own = block.cells[column]
-            block.check(own < 0.0, column, f"0 or more, in {self._unit}", "check the column")
+        for column, offset in zip(self._columns, self._offsets.tolist(), strict=True):
+            own, least = block.cells[column], min(offset, 0.0)
+            expected = f"{least:.10g} or more, in {self._unit}"
+            block.check(own < least, column, expected, "check the column")
             if self._channel == "pulses":
                 block.check(own % 1.0 > 0.0, column, "a whole number of pulses", fix)
 
@@ -115,44 +121,49 @@ class Counter:
             now = float(block.cells[column, row])
             before = now - float(growth[k, i])
             seen = max(self._steepest[k], growth[k, :i].max(initial=0.0))
-            size = self._wrap_size(before, now, seen, float(step_s[i]))
+            size = self._wrap_size(k, before, now, seen, float(step_s[i]))
             if size is None:
                 raise block.refuse(
                     row,
                     column,
                     f"a cumulative count of at least {before:.10g} {self._unit}",
-                    f"it was reset or misread, or wraps at another size{self._as_stated()}: add"
+                    f"it was reset or misread, or wraps at another size{self._as_stated(k)}: add"
                     " what was counted before, split the event there, or say wraps_at in a channel"
                     f" map; {self._other_kind(k)}",
                     f"{now:.10g}",
                 )
-            self._size = size
+            if np.isnan(self._sizes[k]):  # counters of which nothing is said are of one kind
+                self._sizes[np.isnan(self._sizes)] = size
             jumps[k, i] = size
             growth[k, i] += size
             self._mends.add(
                 *("counter_wrap", block.header[column], block.lines[[row]]),
-                f"the counter went from {before:.10g} to {now:.10g}: it wraps at {size:.10g}"
-                f" {self._unit}, which was added",
+                f"the counter went from {before - self._offsets[k]:.10g} to"
+                f" {now - self._offsets[k]:.10g}: it wraps at {size:.10g} {self._unit}, which was"
+                " added",
             )
         return jumps
 
-    def _as_stated(self) -> str:
-        """What a fall was compared with."""
-        if self._size is None:
+    def _as_stated(self, k: int) -> str:
+        """What a fall of a counter was compared with."""
+        if np.isnan(self._sizes[k]):
             return " than a usual one, or several of these would do"
-        return f" than {self._size:.10g} {self._unit}"
+        return f" than {self._sizes[k]:.10g} {self._unit}"
 
-    def _wrap_size(self, before: float, now: float, seen: float, step_s: float) -> float | None:
+    def _wrap_size(
+        self, k: int, before: float, now: float, seen: float, step_s: float
+    ) -> float | None:
         """The one size that explains a drop by a growth like those seen; None if none or two do."""
         if self._channel == "on_time":
             most = min(step_s + SLACK_S, STEEPER * seen + SLACK_S)
         else:
             most = STEEPER * seen + 2.0
-        sizes = (self._size,) if self._size else wrap_sizes(self._channel)
+        known, counted = float(self._sizes[k]), before - float(self._offsets[k])
+        sizes = wrap_sizes(self._channel) if np.isnan(known) else (known,)
         fits = [
             size
             for size in sizes
-            if size + ROUNDING >= before and -ROUNDING <= now + size - before <= most
+            if size + ROUNDING >= counted and -ROUNDING <= now + size - before <= most
         ]
         if len(fits) > 1 and self._grids:
             # pulses of whole cycles grow by whole cycles over a wrap as well
@@ -162,17 +173,15 @@ class Counter:
 
     def _check_highest(self, block: Block, row: int) -> None:
         """A counter that wraps never shows more than its size."""
-        if self._size is None:
-            return
-        for column, highest in zip(self._columns, self._highest, strict=True):
-            if highest > self._size + ROUNDING:
-                raise block.refuse(
-                    row,
-                    column,
-                    f"counts below {self._size:.10g} {self._unit}, where the counters wrap",
-                    "a counter that fell near there was reset rather than wrapped: mend it",
-                    f"up to {highest:.10g}",
-                )
+        most = self._sizes + self._offsets  # that are shown; NaN, which none exceeds, if not known
+        for k in np.flatnonzero(self._highest > most + ROUNDING).tolist():
+            raise block.refuse(
+                row,
+                self._columns[k],
+                f"counts below {most[k]:.10g} {self._unit}, where the counters wrap",
+                "a counter that fell near there was reset rather than wrapped: mend it",
+                f"up to {self._highest[k]:.10g}",
+            )
 
     def _check_gaps(self, block: Block, rows: Rows, step_s: Array) -> None:
         """A row that is missing among others has counts that nobody knows."""
@@ -242,7 +251,7 @@ class Agreement:
         self._last = seconds[-1].copy(), counts[-1].copy()
 
     def _check_frozen(self, block: Block, rows: Rows, counts: Array, longer: Flags) -> None:
-        marks = np.where(longer, counts, -1.0)
+        marks = np.where(longer, counts, -np.inf)  # an offset may have counts below 0
         marks[0] = np.maximum(marks[0], self._since)
         since = np.maximum.accumulate(marks, axis=0)
         self._since = since[-1].copy()

@@ -79,6 +79,13 @@ class TelemetryEvent:
         return str(self.folder / DESCRIPTION)
 
 
+def event_path(given: str | os.PathLike[str]) -> str:
+    """The folder of an event that is named by its ``event.toml``; any other path as it is."""
+    path = Path(given)
+    is_description = path.name == DESCRIPTION and not (exists(path) and path.is_dir())
+    return str(path.parent) if is_description else os.fspath(given)
+
+
 def read_event(folder: str | Path, spacecraft: Spacecraft | str | Path) -> TelemetryEvent:
     """Read an event folder's ``event.toml`` and the header of its telemetry.
 
@@ -96,8 +103,7 @@ def read_event(folder: str | Path, spacecraft: Spacecraft | str | Path) -> Telem
         an unknown or missing column, a ΔV without its source or the other way round; anything
         wrong with the channel map.
     """
-    place = Path(folder)
-    path = place if place.name == DESCRIPTION and not place.is_dir() else place / DESCRIPTION
+    path = Path(event_path(folder)) / DESCRIPTION
     keys = _Keys(str(path), _parse(path))
     telemetry = _telemetry_of(path.parent, keys)
     channels = _channels_of(path.parent, keys)
@@ -160,6 +166,8 @@ def _table_of(frame: pd.DataFrame, name: str) -> MemoryTable:
         if getattr(series.dtype, "tz", None) is not None:
             series = series.dt.tz_convert("UTC").dt.tz_localize(None)
         values = np.array(series.to_numpy())
+        if values.dtype.hasobject:  # pandas.NA has no truth value: nothing can ask what it is
+            values[series.isna().to_numpy()] = None
         values.setflags(write=False)
         columns[label] = values
     return MemoryTable(name, columns)

@@ -49,7 +49,7 @@ class MemoryTable:
         total = hashlib.sha256()
         for name, values in self.columns.items():
             total.update(f"{name}\0{values.dtype.str}{values.shape}".encode())
-            plain = values.astype(str) if values.dtype.hasobject else values
+            plain = np.array(list(map(str, values))) if values.dtype.hasobject else values
             total.update(np.ascontiguousarray(plain).tobytes())
         return total.hexdigest()
 

@@ -14,6 +14,7 @@ from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.telemetry import read_event
+from cassini_bayes.events.telemetry.event import event_path
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.model.event_reduction import (
     EventRows,
@@ -81,9 +82,9 @@ def read_mission(
     reads: list[Read] = []
     facts: list[EventFacts] = []
     digests: dict[str, str] = {}
-    policy = Policy.of(mission.accept, leave_out=mission.leave_out)
+    policy = Policy.of(mission.accept, leave_out=mission.leave_out, where=f"{where}: accept")
     for reference in mission.events:
-        place = base / reference
+        place = Path(event_path(base / reference))
         if is_event_folder(place):
             reduced, fact = _telemetry(place, priors, mission.pulse_shape, cache, log, policy)
             reads.append(Read.of_reduced(reduced, str(place)))

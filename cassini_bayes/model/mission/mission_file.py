@@ -116,8 +116,8 @@ class TrendTable(Table):
     degraded: list[float] = Field(default_factory=lambda: [0.02, 0.05, 0.10])
     alarm: float = Field(0.95, gt=0.5, lt=1.0)
     forecast: list[ForecastTable] = Field(default_factory=list)
-    draws: int = Field(400, ge=100)
-    proposals: int = Field(4_000, ge=500)
+    draws: int = Field(400, ge=100, le=100_000)  # more is a slip of some zeros
+    proposals: int = Field(4_000, ge=500, le=1_000_000)
     seed: int = Field(2012, ge=0)
 
 

@@ -20,9 +20,9 @@ from scipy.fft import dst
 from scipy.optimize import minimize
 
 from cassini_bayes.balance.statistics import Samples
-from cassini_bayes.balance.statistics.turning import direction_cosines
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.studies.real_attitude import high_difference_noise
 
 BLOCKS: Final = 200
