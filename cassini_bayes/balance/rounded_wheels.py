@@ -100,35 +100,41 @@ def rests(time_s: Array, levels: Array) -> Rests:
     event): n readings alike do not say that there is no noise. Where they scatter by more than two
     values can (:data:`DITHERED`), rounding is white in all rows, as in one that moves.
     """
-    rows = len(levels)
-    at = np.arange(rows)
     mean_before, mean_after = means_beside(levels)
-    moving = (np.abs(mean_after - mean_before) > 1.0) & (at > 0)
     driven = between_steps(time_s, levels)[1]
+    moving = np.abs(mean_after - mean_before) > 1.0
+    moving[0] = False
     moving |= driven
+    came, left = _passed(levels, mean_before, mean_after)
+    for first, last in zip(came.tolist(), left.tolist(), strict=True):
+        if driven[first:last].any() or not _pauses(levels, first, last):
+            moving[first:last] = True
+    # a stretch ends where a value is passed, and at rows that move
+    stays = ~moving & ~np.concatenate([[True], moving[:-1]])
+    stays[came] = stays[left] = False
+    wanders = _wandering(np.flatnonzero(~stays), mean_after)
+    return _scattered(levels, moving | wanders, stays & ~wanders)
+
+
+def _passed(levels: Array, mean_before: Array, mean_after: Array) -> tuple[Places, Places]:
+    """First rows of values that are passed through, and those after them; noise is no passage."""
     change = np.diff(levels)
     edges = np.flatnonzero(change) + 1
     came, left = edges[:-1], edges[1:]
     side = np.sign(change[came - 1])
     passed = side == np.sign(change[left - 1])
-    # noise to either side of a value is no passage
     passed &= side * (levels[came] - mean_before[came]) > 0.5
     passed &= side * (mean_after[left] - levels[came]) > 0.5
-    for first, last in zip(came[passed].tolist(), left[passed].tolist(), strict=True):
-        if driven[first:last].any() or not _pauses(levels, first, last):
-            moving[first:last] = True
-    # a stretch ends where a value is passed, and at rows that move
-    stays = np.ones(rows, dtype=bool)
-    stays[came[passed]] = stays[left[passed]] = stays[0] = False
-    stays &= ~moving & ~np.concatenate([[True], moving[:-1]])
-    wanders = _wandering(np.flatnonzero(~stays), mean_after)
-    moving |= wanders
-    stays &= ~wanders
-    starts = np.flatnonzero(~stays)
+    return came[passed], left[passed]
+
+
+def _scattered(levels: Array, moving: Flags, stays: Flags) -> Rests:
+    """Stretches of rows that stay, with what their readings scatter by."""
+    rows, starts = len(levels), np.flatnonzero(~stays)
     lengths = np.diff(starts, append=rows)
     jumps = np.where(stays, np.diff(levels, prepend=levels[:1]) ** 2, 0.0)
     if 0.5 * jumps.sum() > DITHERED * np.count_nonzero(stays):
-        return Rests(np.ones(rows, dtype=np.bool_), np.zeros(rows), at)
+        return Rests(np.ones(rows, dtype=np.bool_), np.zeros(rows), np.arange(rows))
     scatter = 0.5 * (1.0 + np.add.reduceat(jumps, starts)) / lengths
     moving = moving | np.repeat(lengths == 1, lengths)
     return Rests(moving, np.where(moving, 0.0, np.repeat(scatter, lengths)), starts)
