@@ -295,16 +295,22 @@ def simulate_scenario(
 
 
 def _check_replaceable(folder: Path, events: Sequence[str]) -> None:
-    """Refuse a place for events where something else stands, which replacing would destroy."""
+    """Refuse a place for events or totals where something else stands, which would be lost."""
     for target in (folder / event for event in events):
         is_event = exists(target / DESCRIPTION) and not target.is_symlink()
         if exists(target) and not is_event:
-            raise InputError(
-                str(target),
-                f"nothing, or an event folder of an earlier simulation, with {DESCRIPTION}",
-                "something else of that name",
-                "move it away, or choose another --out",
-            )
+            raise _occupied(target, f"an event folder of an earlier simulation, with {DESCRIPTION}")
+    if exists(folder / TOTALS_FILE) and not exists(folder / TRUTH_FILE):
+        raise _occupied(folder / TOTALS_FILE, f"that of an earlier simulation, with {TRUTH_FILE}")
+
+
+def _occupied(target: Path, expected: str) -> InputError:
+    return InputError(
+        str(target),
+        f"nothing, or {expected}",
+        "something else of that name",
+        "move it away, or choose another --out",
+    )
 
 
 def simulated_sides(files: Sequence[Path]) -> dict[str, Effect]:
@@ -342,7 +348,8 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
         write_text(target / DESCRIPTION, event_text(event.plan, file.scenario.telemetry))
         write_text(target / "telemetry.csv", telemetry_text(event.telemetry))
     (folder / TOTALS_FILE).unlink(missing_ok=True)
+    # before the totals: a folder with totals alone is not one of ours
+    write_text(folder / TRUTH_FILE, simulation.truth_text())
     totals = simulation.totals()
     if totals:
         write_totals(folder / TOTALS_FILE, totals, file.spacecraft)
-    write_text(folder / TRUTH_FILE, simulation.truth_text())

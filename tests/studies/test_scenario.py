@@ -427,6 +427,17 @@ def test_what_is_no_event_is_never_replaced(
     assert "earlier" not in (out / "one" / "event.toml").read_text()
 
 
+def test_totals_of_the_user_are_never_replaced(tmp_path: Path) -> None:
+    """Those that have no truth beside them are no simulation's."""
+    path, mine = written(tmp_path), tmp_path / "out" / "totals.csv"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    with pytest.raises(InputError, match=r"totals.csv: expected nothing, or that of an earlier"):
+        simulate_scenario(path, mine.parent, 1, force=True)
+    assert [own.name for own in mine.parent.iterdir()] == ["totals.csv"]
+    assert mine.read_text() == "mine"
+
+
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
 def test_the_shipped_scenarios_can_be_read(path: Path) -> None:
     """Every scenario of the repository passes the door and has a complete truth."""
