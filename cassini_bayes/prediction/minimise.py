@@ -31,7 +31,7 @@ from cassini_bayes.prediction.planning import (
     typical,
 )
 from cassini_bayes.prediction.predict import Prediction, predict
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
+from cassini_bayes.prediction.requests import BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import rates_rpm
 
 STEP_S: Final = 1.0  # of the time that wheels spend in the low-rpm zone
@@ -115,7 +115,8 @@ def cheapest_bias(
     if objective == "hydrazine":
         need_hydrazine(learned, f"--minimise {objective}", "minimise z_throughput")
     start = np.asarray(start_rpm, dtype=np.float64)
-    _check_rates(wheels, start, wanted_rpm)
+    planned = learned.model.spacecraft.planned_wheel_rpm
+    _check_rates(wheels, start, wanted_rpm, planned)
     one = typical(learned)
     free = [place for place, number in enumerate(wheels) if number not in wanted_rpm]
     wanted = np.array([wanted_rpm.get(number, 0.0) for number in wheels])
@@ -128,7 +129,7 @@ def cheapest_bias(
     worth = OBJECTIVES[objective]
     choices = []
     for signs in product((-1.0, 1.0), repeat=len(free)):
-        ends = _least(lambda ends: worth(_cost(one, request(ends))), np.array(signs))
+        ends = _least(lambda ends: worth(_cost(one, request(ends))), np.array(signs), planned)
         asked = request(ends)
         choices.append(Choice(tuple(asked.end_rpm.tolist()), _cost(one, asked)))
     choices.sort(key=lambda choice: worth(choice.cost))
@@ -142,7 +143,12 @@ def cheapest_bias(
     )
 
 
-def _check_rates(wheels: tuple[int, ...], start: Array, wanted: Mapping[int, float]) -> None:
+def _check_rates(
+    wheels: tuple[int, ...],
+    start: Array,
+    wanted: Mapping[int, float],
+    planned_rpm: tuple[float, float],
+) -> None:
     names = ", ".join(map(str, wheels))
     if not wanted or set(wanted) >= set(wheels):
         raise InputError(
@@ -155,29 +161,29 @@ def _check_rates(wheels: tuple[int, ...], start: Array, wanted: Mapping[int, flo
         if number not in wheels:
             raise InputError("--to", f"wheels {names}", f"wheel {number}", "leave it out")
     for key, rates in (("--from", start), ("--to", np.array(list(wanted.values())))):
-        check_rates(key, rates)
-    low = [rate for rate in wanted.values() if abs(rate) < LOW_RPM]
+        check_rates(key, rates, planned_rpm[1])
+    low = [rate for rate in wanted.values() if abs(rate) < planned_rpm[0]]
     if low:
         raise InputError(
             "--to",
-            f"end rates outside ±{LOW_RPM:.0f} rev/min, where bearings wear",
+            f"end rates outside ±{planned_rpm[0]:.0f} rev/min, where bearings wear",
             f"{low[0]:g}",
             "end faster",
         )
 
 
-def _least(cost: Callable[[Array], float], signs: Array) -> Array:
+def _least(cost: Callable[[Array], float], signs: Array, planned_rpm: tuple[float, float]) -> Array:
     """End rates of the given signs with the least cost: the best of a grid, then a simplex."""
-    levels = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, _LEVELS)
+    levels = np.linspace(*planned_rpm, _LEVELS)
     first = min((signs * np.array(ends) for ends in product(levels, repeat=len(signs))), key=cost)
     # towards the middle of the range, so that the simplex has a volume at a limit, too
-    middle = 0.5 * (LOW_RPM + WHEEL_LIMIT_RPM)
+    middle = 0.5 * sum(planned_rpm)
     inward = np.where(np.abs(first) < middle, 1.0, -1.0) * signs * 0.5 * (levels[1] - levels[0])
     result = minimize(
         cost,
         first,
         method="Nelder-Mead",
-        bounds=[tuple(sorted((s * LOW_RPM, s * WHEEL_LIMIT_RPM))) for s in signs],
+        bounds=[tuple(sorted((s * planned_rpm[0], s * planned_rpm[1]))) for s in signs],
         options={
             "initial_simplex": np.vstack([first, first + np.diag(inward)]),
             "xatol": _TOLERANCE_RPM,
@@ -194,7 +200,7 @@ def _cost(one: Learned, request: BiasRequest) -> Cost:
     ring = [k for k in range(len(on_time)) if k not in couple]
     time = np.arange(0.0, lasts, STEP_S)
     rates = rates_rpm(one.manager, request.wheels, request.start_rpm, request.end_rpm, time)
-    low = np.any(np.abs(rates) < LOW_RPM, axis=1)
+    low = np.any(np.abs(rates) < one.model.spacecraft.planned_wheel_rpm[0], axis=1)
     return Cost(on_time, float(on_time[ring].sum()), grams, lasts, STEP_S * float(low.sum()))
 
 

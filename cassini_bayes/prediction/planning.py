@@ -39,8 +39,9 @@ from cassini_bayes.prediction.physics import (
     stretch,
 )
 from cassini_bayes.prediction.predict import on_times_of
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest, check_rates
+from cassini_bayes.prediction.requests import BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import duration_s
+from cassini_bayes.spacecraft.description import PLANNED_WHEEL_RPM
 
 LEVEL: Final = "thrust_level_"
 
@@ -123,8 +124,8 @@ def quantity_draws(learned: Learned, name: str) -> Array:
     return known[name]
 
 
-def end_rates(levels: int) -> Array:
-    """End rates of one wheel: ``levels`` steps from 300 to 2000 rev/min, both signs.
+def end_rates(levels: int, planned_rpm: tuple[float, float] = PLANNED_WHEEL_RPM) -> Array:
+    """End rates of one wheel: ``levels`` steps through the planned sizes, both signs.
 
     Raises
     ------
@@ -133,14 +134,14 @@ def end_rates(levels: int) -> Array:
     """
     if levels < 1:
         raise InputError("--levels", "at least 1", str(levels), "ask for more levels")
-    steps = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, levels) if levels > 1 else np.array([LOW_RPM])
+    steps = np.linspace(*planned_rpm, levels)
     return np.concatenate([-steps[::-1], steps])
 
 
-def _ends_of_wheel(start_rpm: float, levels: int) -> Array:
+def _ends_of_wheel(start_rpm: float, levels: int, planned_rpm: tuple[float, float]) -> Array:
     """End rates of a wheel; it may also stay where it is, outside the low-rpm zone."""
-    ends = end_rates(levels)
-    return np.union1d(ends, start_rpm) if abs(start_rpm) >= LOW_RPM else ends
+    ends = end_rates(levels, planned_rpm)
+    return np.union1d(ends, start_rpm) if abs(start_rpm) >= planned_rpm[0] else ends
 
 
 def plan(
@@ -161,14 +162,15 @@ def plan(
     """
     draws = quantity_draws(learned, quantity)
     start = np.asarray(start_rpm, dtype=np.float64)
-    check_rates("--from", start)
+    planned = learned.model.spacecraft.planned_wheel_rpm
+    check_rates("--from", start, planned[1])
     if budget_g is not None:
         need_hydrazine(learned, "--budget", "leave it out")
     judge = _Judge.of(learned, draws, wheels)
     one = typical(learned)
     candidates = (
         judge.candidate(one, BiasRequest("candidate", wheels, start, np.array(ends)))
-        for ends in product(*(_ends_of_wheel(rate, levels) for rate in start))
+        for ends in product(*(_ends_of_wheel(rate, levels, planned) for rate in start))
         if not np.all(np.array(ends) == start)
     )
     result = [c for c in candidates if budget_g is None or c.hydrazine_g <= budget_g]

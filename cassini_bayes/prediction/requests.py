@@ -19,8 +19,7 @@ from cassini_bayes.files.cells import read_rows
 from cassini_bayes.files.checks import check_known, in_utc
 from cassini_bayes.spacecraft import Spacecraft
 
-WHEEL_LIMIT_RPM: Final = 2000.0
-LOW_RPM: Final = 300.0
+FASTER: Final = "plan a slower wheel; faster ones have planned_wheel_rpm in their spacecraft file"
 _NUMBER: Final = r"[+-]?\d{1,9}(?:\.\d{0,9})?"
 _PART: Final = re.compile(rf"^\s*(\w+)\s*:\s*({_NUMBER})\s*(?:->|→|to)\s*({_NUMBER})\s*$")
 _ID: Final = re.compile(r"\w[\w .+-]{0,59}")
@@ -221,8 +220,8 @@ def check_ids(where: str, ids: Sequence[str]) -> None:
         seen.add(name)
 
 
-def check_rates(where: str, rates_rpm: Array) -> None:
-    """Refuse rates beyond the wheels' limit.
+def check_rates(where: str, rates_rpm: Array, limit_rpm: float) -> None:
+    """Refuse rates beyond the wheels' limit (:attr:`.Spacecraft.planned_wheel_rpm`).
 
     Raises
     ------
@@ -230,9 +229,9 @@ def check_rates(where: str, rates_rpm: Array) -> None:
         The fastest of them is named.
     """
     fastest = rates_rpm[np.abs(rates_rpm).argmax()]
-    if abs(fastest) > WHEEL_LIMIT_RPM:
-        expected = f"rates within ±{WHEEL_LIMIT_RPM:.0f} rev/min"
-        raise InputError(where, expected, f"{fastest:g}", "check them")
+    if abs(fastest) > limit_rpm:
+        expected = f"rates within ±{limit_rpm:.0f} rev/min"
+        raise InputError(where, expected, f"{fastest:g}", FASTER)
 
 
 def check_request(
@@ -250,12 +249,13 @@ def check_request(
     Raises
     ------
     InputError
-        Rates beyond ±2000 rev/min, none that changes, an unknown or another branch, a wheel that is
-        not prime, an epoch before the fit's first event.
+        Rates beyond the spacecraft's limit, none that changes, an unknown or another branch, a
+        wheel that is not prime, an epoch before the fit's first event.
     """
     where = f"bias {request.id}"
     names = {wheel.number: wheel.name for wheel in spacecraft.wheels}
     _check_branch(where, request.branch, spacecraft, branch)
+    limit = spacecraft.planned_wheel_rpm[1]
     for number, start, end in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True):
         if number not in prime:
             raise InputError(
@@ -265,13 +265,7 @@ def check_request(
                 "drop the wheel, or predict with a fit in which it is prime",
             )
         for rate in (start, end):
-            if abs(rate) > WHEEL_LIMIT_RPM:
-                raise InputError(
-                    f"{where}: {names[number]}",
-                    f"a rate within ±{WHEEL_LIMIT_RPM:.0f} rev/min",
-                    f"{rate:g}",
-                    "plan a slower wheel",
-                )
+            check_rates(f"{where}: {names[number]}", np.array([rate]), limit)
     if not np.any(request.start_rpm != request.end_rpm):
         raise InputError(where, "a wheel that changes its rate", "none", "check start and end")
     if request.epoch is not None and request.epoch < first_epoch:

@@ -21,6 +21,7 @@ HIGHEST_RATE_RAD_S: Final = 0.05
 """Where a file does not say: ten times the fastest slew of Cassini on thrusters; a slew in deg/s
 exceeds it."""
 HIGHEST_WHEEL_RPM: Final = 4000.0
+PLANNED_WHEEL_RPM: Final = (300.0, 2000.0)
 """Where a file does not say: twice what Cassini's wheels are kept below."""
 AXIS_DEMANDS: Final = ("+x", "-x", "+y", "-y", "+z", "-z")
 
@@ -177,7 +178,8 @@ class Spacecraft:
     it; ``parameters`` are the spacecraft's own (geometry, wheels); ``geometry`` maps a branch to
     its arrays; ``digest`` is the SHA-256 of the file it was read from. Pulses start with control
     cycles of ``control_cycle_s``. Body rates beyond ``highest_rate_rad_s`` about an axis and wheel
-    rates beyond ``highest_wheel_rpm`` are mistakes.
+    rates beyond ``highest_wheel_rpm`` are mistakes. Wheels are planned to end at sizes within
+    ``planned_wheel_rpm``: slower ones wear their bearings, faster ones are beyond their limit.
     """
 
     name: str
@@ -191,6 +193,7 @@ class Spacecraft:
     control_cycle_s: float = CONTROL_CYCLE_S
     highest_rate_rad_s: float = HIGHEST_RATE_RAD_S
     highest_wheel_rpm: float = HIGHEST_WHEEL_RPM
+    planned_wheel_rpm: tuple[float, float] = PLANNED_WHEEL_RPM
 
     def __post_init__(self) -> None:
         for name in ("axis_pairs", "geometry"):

@@ -22,6 +22,7 @@ from cassini_bayes.spacecraft.description import (
     CONTROL_CYCLE_S,
     HIGHEST_RATE_RAD_S,
     HIGHEST_WHEEL_RPM,
+    PLANNED_WHEEL_RPM,
     BranchGeometry,
     Platform,
     Spacecraft,
@@ -82,6 +83,7 @@ class _File(_Table):
     control_cycle_s: Annotated[float, Field(gt=0.0, le=60.0)] = CONTROL_CYCLE_S
     highest_rate_rad_s: Annotated[float, Field(gt=0.0, le=10.0)] = HIGHEST_RATE_RAD_S
     highest_wheel_rpm: Annotated[float, Field(gt=0.0, le=1e6)] = HIGHEST_WHEEL_RPM
+    planned_wheel_rpm: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
 
 def load_spacecraft(reference: str | Path, where: str = "spacecraft") -> Spacecraft:
@@ -152,7 +154,25 @@ def _build(content: bytes, where: str) -> Spacecraft:
         control_cycle_s=file.control_cycle_s,
         highest_rate_rad_s=file.highest_rate_rad_s,
         highest_wheel_rpm=file.highest_wheel_rpm,
+        planned_wheel_rpm=_planned(file, where),
     )
+
+
+def _planned(file: _File, where: str) -> tuple[float, float]:
+    """Sizes of wheel rates that are planned; those of Cassini, or as far as its wheels turn."""
+    if file.planned_wheel_rpm is None:
+        low, high = PLANNED_WHEEL_RPM
+        return min(low, 0.5 * file.highest_wheel_rpm), min(high, file.highest_wheel_rpm)
+    low, high = file.planned_wheel_rpm
+    if not 0.0 <= low < high <= file.highest_wheel_rpm:
+        raise InputError(
+            f"{where}: planned_wheel_rpm",
+            f"two sizes, the smaller first, within 0 and highest_wheel_rpm,"
+            f" {file.highest_wheel_rpm:g} rev/min",
+            f"[{low:g}, {high:g}]",
+            "write e.g. [300, 2000], or raise highest_wheel_rpm",
+        )
+    return low, high
 
 
 def _spec(name: str, table: _ParameterTable, place: str) -> ParameterSpec:

@@ -22,7 +22,8 @@ from cassini_bayes.prediction.minimise import (
     cheapest_text,
 )
 from cassini_bayes.prediction.planning import expected_on_times, expected_thrusts, typical
-from cassini_bayes.prediction.requests import LOW_RPM, WHEEL_LIMIT_RPM, BiasRequest
+from cassini_bayes.prediction.requests import BiasRequest
+from cassini_bayes.spacecraft.description import PLANNED_WHEEL_RPM
 
 WHEELS = (1, 2, 4)
 START = (-700.0, -650.0, -600.0)
@@ -39,7 +40,7 @@ def found(objective: str) -> CheapestBias:
 def scanned(objective: str, steps: int = 10) -> float:
     """The least cost on a grid of end rates, by plain loops."""
     one = typical(learned())
-    size = np.linspace(LOW_RPM, WHEEL_LIMIT_RPM, steps)
+    size = np.linspace(*PLANNED_WHEEL_RPM, steps)
     rates = np.concatenate([-size, size])
     best = np.inf
     for first in rates:
@@ -91,8 +92,8 @@ def test_ends_keep_limits_and_zone(objective: str) -> None:
     """Every choice ends outside the low-rpm zone, within the limit, with the wanted rate."""
     best = found(objective)
     ends = np.array([choice.end_rpm for choice in best.choices])
-    assert np.all(np.abs(ends) >= LOW_RPM)
-    assert np.all(np.abs(ends) <= WHEEL_LIMIT_RPM)
+    assert np.all(np.abs(ends) >= PLANNED_WHEEL_RPM[0])
+    assert np.all(np.abs(ends) <= PLANNED_WHEEL_RPM[1])
     assert np.all(ends[:, 2] == 600.0)
     costs = [OBJECTIVES[objective](choice.cost) for choice in best.choices]
     assert costs == sorted(costs)

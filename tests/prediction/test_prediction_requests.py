@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -80,6 +81,18 @@ def test_the_limits_themselves_are_allowed() -> None:
     asked = parse_bias("rwa1: -2000 -> 2000", CRAFT)
     request = BiasRequest("x", asked.wheels, asked.start_rpm, asked.end_rpm, START, "B")
     check_request(request, CRAFT, "B", (1, 2, 4), START)
+
+
+def test_a_spacecraft_with_faster_wheels_has_a_limit_of_its_own() -> None:
+    """5000 rev/min of wheels that may be planned so; beyond it the file is named."""
+    fast = replace(CRAFT, planned_wheel_rpm=(0.0, 5_000.0))
+    for size, passes in ((5_000.0, True), (5_001.0, False)):
+        asked = BiasRequest("x", (1,), np.array([0.0]), np.array([size]), START, "B")
+        if passes:
+            check_request(asked, fast, "B", (1, 2, 4), START)
+            continue
+        with pytest.raises(InputError, match="within ±5000 rev/min, got 5001; plan a slower"):
+            check_request(asked, fast, "B", (1, 2, 4), START)
 
 
 def test_a_request_of_an_event_has_nothing_that_was_flown() -> None:

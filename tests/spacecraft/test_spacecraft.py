@@ -45,6 +45,17 @@ MISTAKES = {
         ("highest_wheel_rpm = 10000.0", "highest_wheel_rpm = 0.0"),
         ["highest_wheel_rpm", "0.0"],
     ),
+    "planned beyond the limit": (
+        (
+            "highest_wheel_rpm = 10000.0",
+            "highest_wheel_rpm = 10000.0\nplanned_wheel_rpm = [0, 2e4]",
+        ),
+        ["planned_wheel_rpm", "highest_wheel_rpm, 10000 rev/min", "[0, 20000]"],
+    ),
+    "planned the wrong way round": (
+        ("highest_wheel_rpm = 10000.0", "highest_wheel_rpm = 1e4\nplanned_wheel_rpm = [9, 3]"),
+        ["planned_wheel_rpm", "the smaller first", "[9, 3]"],
+    ),
     "undeclared branch": (
         ('branches = ["P"]', 'branches = ["Q"]'),
         ["thruster.r1.branches", "'Q'"],
