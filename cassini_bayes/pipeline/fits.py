@@ -314,7 +314,7 @@ def fit(
     given = _given(sampler, seed)
     settings = validated(SamplerTable, given, "sampler").settings()
     told = reporter or Quiet()
-    if is_run_file(events):
+    if _is_run_file(events):
         path = Path(events)
         said = (priors, *effects, pulse_shape, delta_v, source, *accept, leave_out)
         kept = (draws_per_ensemble, prior_draws, report)
@@ -378,7 +378,7 @@ def fit(
     return result_of(review)
 
 
-def is_run_file(events: object) -> TypeGuard[PathLike]:
+def _is_run_file(events: object) -> TypeGuard[PathLike]:
     """Whether it is the path of a run file, and no event named by its ``event.toml``."""
     if not isinstance(events, str | os.PathLike):
         return False
