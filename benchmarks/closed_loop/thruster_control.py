@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +30,6 @@ PAIRS = {
 _WIDE_BAND_RAD = 2e-3
 """From here on twice the least impulse does not carry an axis through its dead-band in seconds."""
 Three = tuple[float, float, float]
-
-
-class Controller(Protocol):
-    """What flies a bias: one object per event, which remembers what it has commanded."""
-
-    def fire(self, error: Sequence[float], rate: Sequence[float], now_ms: int) -> list[Firing]:
-        """Firings that start within this cycle."""
 
 
 def _sign(value: float) -> int:

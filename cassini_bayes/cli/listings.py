@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -9,6 +10,7 @@ import typer
 
 from cassini_bayes.cli.options import Effects, Json
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.tables import frame_records
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +64,7 @@ def quantities_command(
 def _show(table: pd.DataFrame, as_json: bool, leave_out: tuple[str, ...] = ()) -> None:
     """The table as JSON, or as text without the columns that are too long for a terminal."""
     if as_json:
-        typer.echo(table.to_json(orient="records", force_ascii=False))
+        typer.echo(json.dumps(frame_records(table), ensure_ascii=False))
         return
     shown = table.drop(columns=[name for name in leave_out if name in table]).map(_cell)
     widths = [max(map(len, [name, *shown[name]])) for name in shown]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -60,5 +59,4 @@ def finite(value: Any) -> Any:
 
 def frame_records(frame: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of a data frame as plain JSON types; what is not finite becomes null."""
-    records: list[dict[str, Any]] = json.loads(frame.to_json(orient="records", double_precision=10))
-    return records
+    return [finite(row) for row in frame.to_dict(orient="records")]

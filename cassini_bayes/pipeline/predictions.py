@@ -182,7 +182,7 @@ class PlanResult:
 
     def summary(self) -> pd.DataFrame:
         """One row per candidate, most informative first: end rates, nats, sd after, cost."""
-        names = [f"rwa{number}_end_rpm" for number in self.plan.wheels]
+        names = [f"{name}_end_rpm" for name in self.plan.wheel_names]
         rows = [
             {
                 **dict(zip(names, candidate.end_rpm, strict=True)),

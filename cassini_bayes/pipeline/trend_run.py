@@ -23,7 +23,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
-from cassini_bayes.files.tables import finite, frame_records
+from cassini_bayes.files.tables import finite, frame_csv, frame_records
 from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
@@ -145,7 +145,7 @@ def execute_trend(
     if fit_record:
         rng = np.random.default_rng([mission.trend.seed, 2])
         save_fit(mission_fit_record(fit, trend.draws, rng), folder / FIT_FILE)
-    write_text(folder / "trend.csv", trend.thrust.to_csv(index=False, float_format="%.6g"))
+    write_text(folder / "trend.csv", frame_csv(trend.thrust, digits=6))
     write_text(folder / "trend.json", json.dumps(record, indent=1, allow_nan=False) + "\n")
     write_text(folder / PROVENANCE, json.dumps(_provenance(inputs, laws, command), indent=2) + "\n")
     dated = {str(fact.epoch): fact.what.replace("_", " ") for fact in mission.dated}

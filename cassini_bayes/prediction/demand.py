@@ -38,6 +38,8 @@ class PairLayout:
     units
         Groups of thrusters with one printed on-time, as tuples of thruster indices: the minus and
         the plus pair of the couple axis, then the ring's thrusters in file order.
+    cycle_s
+        Period of the controller, s.
     """
 
     pairs: Array
@@ -45,6 +47,7 @@ class PairLayout:
     couple_axis: int
     ring: NDArray[np.int64]
     units: tuple[tuple[int, ...], ...]
+    cycle_s: float
 
 
 def pair_layout(spacecraft: Spacecraft, branch: str) -> PairLayout:
@@ -76,6 +79,7 @@ def pair_layout(spacecraft: Spacecraft, branch: str) -> PairLayout:
                 couple_axis=couple,
                 ring=np.array([[cell[0] for cell in row] for row in shared]),
                 units=(minus, plus, *singles),
+                cycle_s=spacecraft.control_cycle_s,
             )
     raise InputError(
         f"spacecraft {spacecraft.name}: axis_pairs (branch {branch})",

@@ -80,7 +80,7 @@ def observe(on_time_s: Array, layout: PairLayout) -> Observation:
     return Observation(
         minor_ring_s=max(float(minor), LEAST_MINOR_S),
         minor_couple_s=max(float(min(pairs)), LEAST_MINOR_S),
-        shared_cycles=round(alone / CONTROL_CYCLE_S),
+        shared_cycles=round(alone / layout.cycle_s),
     )
 
 
@@ -149,8 +149,10 @@ class FiringDraws:
     shared_s: Array
 
 
-def draw_firing(p: Parameters, f: Features, rng: np.random.Generator) -> FiringDraws:
-    """One draw per parameter point for a new event."""
+def draw_firing(
+    p: Parameters, f: Features, rng: np.random.Generator, cycle_s: float = CONTROL_CYCLE_S
+) -> FiringDraws:
+    """One draw per parameter point for a new event; ``cycle_s`` is the controller's period, s."""
     ring, couple = expected_minor(p, f)
     spread = np.asarray(p["event_spread"])
     restless = np.exp(spread * rng.standard_normal(ring.shape) - 0.5 * spread**2)
@@ -161,14 +163,14 @@ def draw_firing(p: Parameters, f: Features, rng: np.random.Generator) -> FiringD
     k = np.asarray(p["shared_shape"])
     mean = np.asarray(p["shared_per_demand"]) * f.common_s
     cycles = rng.poisson(mean * rng.gamma(k, 1.0 / k, size=ring.shape))
-    return FiringDraws(minors[0], minors[1], np.asarray(CONTROL_CYCLE_S * cycles, dtype=np.float64))
+    return FiringDraws(minors[0], minors[1], np.asarray(cycle_s * cycles, dtype=np.float64))
 
 
-def mean_firing(p: Parameters, f: Features) -> FiringDraws:
+def mean_firing(p: Parameters, f: Features, cycle_s: float = CONTROL_CYCLE_S) -> FiringDraws:
     """Expected values instead of draws: what is left when the limit cycle is switched off."""
     ring, couple = expected_minor(p, f)
     return FiringDraws(
         ring + f.reversal_ring_s,
         couple + f.reversal_couple_s,
-        np.asarray(CONTROL_CYCLE_S * np.asarray(p["shared_per_demand"]) * f.common_s),
+        np.asarray(cycle_s * np.asarray(p["shared_per_demand"]) * f.common_s),
     )

@@ -82,6 +82,7 @@ class Plan:
     sd_before: float
     start_rpm: tuple[float, ...]
     wheels: tuple[int, ...]
+    wheel_names: tuple[str, ...]
     candidates: tuple[Candidate, ...]
 
     @property
@@ -187,6 +188,7 @@ def plan(
         float(draws.std()),
         tuple(start.tolist()),
         wheels,
+        tuple(learned.model.spacecraft.wheel(number).name for number in wheels),
         tuple(result),
     )
 
@@ -302,7 +304,8 @@ def expected_on_times(typical: Learned, request: BiasRequest) -> tuple[Array, fl
     lasts = duration_s(typical.manager, request.wheels, rates[1] - rates[0])
     demand = demand_of(model, physics, typical.manager, request.wheels, rates, lasts)
     features = features_of(model, solver, demand, lasts)
-    on_time = on_times_of(typical, solver, demand.sum(1), mean_firing(typical.firing, features))
+    firing = mean_firing(typical.firing, features, typical.layout.cycle_s)
+    on_time = on_times_of(typical, solver, demand.sum(1), firing)
     return on_time[0], lasts, _grams(typical, thrust, on_time, rate)
 
 
@@ -354,12 +357,23 @@ def _entry(candidate: Candidate) -> dict[str, Any]:
 
 
 def plan_csv(found: Plan) -> str:
-    """Every candidate, most informative first."""
-    ends = [f"wheel{number}_rpm_end" for number in found.wheels]
-    rows = [[*ends, "information_nats", "sd_after", "hydrazine_g", "duration_s"]]
+    """Every candidate, most informative first; grams are empty where the fit knows none."""
+    ends = [f"{name}_rpm_end" for name in found.wheel_names]
+    told = ["information_nats", "quantity", "unit", "sd_after", "hydrazine_g", "duration_s"]
+    rows = [[*ends, *told]]
     for c in found.candidates:
-        values = (c.information_nats, c.sd_after, c.hydrazine_g, c.duration_s)
-        rows.append([*(f"{rate:g}" for rate in c.end_rpm), *(f"{v:.6g}" for v in values)])
+        grams = grams_or_none(c.hydrazine_g)
+        rows.append(
+            [
+                *(f"{rate:g}" for rate in c.end_rpm),
+                f"{c.information_nats:.6g}",
+                found.quantity,
+                found.unit,
+                f"{c.sd_after:.6g}",
+                "" if grams is None else f"{grams:.6g}",
+                f"{c.duration_s:.6g}",
+            ]
+        )
     return rows_csv(rows)
 
 
@@ -370,7 +384,7 @@ def plan_text(found: Plan, top: int) -> str:
         f"{found.quantity}: {found.mean:.4g} ± {found.sd_before:.2g} {found.unit} (1 sd) before;"
         f" {len(found.candidates)} candidates from [{start}] rev/min",
     ]
-    wheels = "  ".join(f"{f'rwa{number}':>7}" for number in found.wheels)
+    wheels = "  ".join(f"{name:>7}" for name in found.wheel_names)
     for title, chosen in (
         ("most informative", found.candidates[:top]),
         ("most per gram", _per_gram(found)[:top]),

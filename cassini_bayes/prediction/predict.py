@@ -101,7 +101,7 @@ def predict(
     model, physics = learned.model, learned.physics
     epoch = request.epoch or learned.last_epoch
     streams = rng.spawn(7)  # a source that is held leaves the draws of the others alone
-    thrust = _thrust(learned, epoch, streams[0], still="thrust of the event" in hold)
+    thrust = thrusts_at(learned, epoch, streams[0], still="thrust of the event" in hold)
     duration = _durations(learned, request, streams[1])
     on_time = _firings(learned, request, thrust, duration, streams[2:4], hold)
     pulses = _pulses(learned, on_time, streams[4])
@@ -143,15 +143,20 @@ def _firings(
     noise = _momentum_noise(learned, request, ends, duration, streams[0])
     if "rates at the ends" not in hold:
         impulse = impulse + noise
-    drawn = draw_firing(learned.firing, features, streams[1])
+    drawn = draw_firing(learned.firing, features, streams[1], learned.layout.cycle_s)
     if "limit cycle" in hold:
         mean = {k: np.full(n, np.mean(v)) for k, v in learned.firing.items()}
-        drawn = mean_firing(mean, features)
+        drawn = mean_firing(mean, features, learned.layout.cycle_s)
     return on_times_of(learned, solver, impulse, drawn)
 
 
-def _thrust(learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool) -> Array:
-    """Thrusts (n, K) of a new event: level, trend of the printed thrust, its own departures."""
+def thrusts_at(
+    learned: Learned, epoch: datetime, rng: np.random.Generator, *, still: bool
+) -> Array:
+    """Thrusts (n, K), N, of a new event: level, trend of the printed thrust, own departures.
+
+    ``still``: without departures, and with the trend's mean.
+    """
     loading = learned.model.thrust_prior.departures
     moved = learned.thrust_moved_n(epoch)
     departure = rng.standard_normal((learned.size, loading.shape[1])) @ loading.T

@@ -50,7 +50,7 @@ def write_trend_report(
 
 def _caption(name: str) -> str:
     """What a figure ``<what>_<branch>`` shows, for those who see it and those who do not."""
-    what, _, branch = name.rpartition("_")
+    what, _, branch = name.partition("_")
     return f"Branch {branch}: {CAPTIONS[what]}"
 
 
@@ -89,7 +89,7 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
         result.append(
             f"Mean slope of branch {branch}, losses not counted: "
             + f"{1e3 * slope.mean():+.0f} ± ".replace("-", "−")
-            + f"{1e3 * slope.std():.0f} mN a year, below zero with probability "
+            + f"{1e3 * slope.std():.0f} mN a year (± sd), below zero with probability "
             f"{(slope < 0).mean():.2f}."
         )
     if mission.propellant is not None and mission.propellant.computed:
@@ -115,17 +115,17 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
         trend.health,
         {
             "thruster": lambda row: f"{row['branch']}.{row['thruster']}",
-            "change since the first event": lambda row: (
+            "change since the first event (central 90 %)": lambda row: (
                 f"{-100 * row['loss_share']:+.1f} % ({-100 * row['loss_high_share']:+.1f} to "
                 f"{-100 * row['loss_low_share']:+.1f})"
             ).replace("-", "−"),
             **degraded,
-            "change a year [mN]": lambda row: (
+            "change a year [mN, ± sd]": lambda row: (
                 f"{1e3 * row['rate_n_per_year']:+.1f} ± {1e3 * row['rate_sd_n_per_year']:.1f}"
             ).replace("-", "−"),
             "P(falls)": _probability("falls"),
             "P(loss)": lambda row: flagged(f"{row['failing']:.3f}", row["alarm"]),
-            "onset (90 %)": lambda row: (
+            "onset (central 90 %)": lambda row: (
                 Cell(f"{row['onset_event']} ({row['onset_first']} – {row['onset_last']})", "wrap")
                 if row["failing"] > ONSET_SHOWN
                 else Cell("–", "muted")
@@ -144,7 +144,7 @@ def tables_of(mission: MissionTable, trend: Trend) -> Sequence[Table]:
             "pressure [kPa]": lambda row: (
                 Cell("–", "muted") if mission.pressure is None else f"{row['pressure_kpa']:.0f}"
             ),
-            "thrust [N]": lambda row: f"{row['thrust_n']:.3f} ± {row['thrust_sd_n']:.3f}",
+            "thrust [N, ± sd]": lambda row: f"{row['thrust_n']:.3f} ± {row['thrust_sd_n']:.3f}",
             "central 90 %": lambda row: f"{row['thrust_low_n']:.3f} to {row['thrust_high_n']:.3f}",
         },
         title="Forecast",

@@ -64,9 +64,13 @@ def render_section(
         conflicts=int((tables.conflict["verdict"] == "conflict").sum()),
         scaling=scaling_table(tables.scaling, names),
         sensitive=SENSITIVE,
-        refits=int((tables.sweep["reported"] & (tables.sweep["estimate"] != "reweighted")).sum())
-        // max(len(names), 1),
+        refits=int((cells_of(tables.sweep)["estimate"] != "reweighted").sum()),
     )
+
+
+def cells_of(sweep: pd.DataFrame) -> pd.DataFrame:
+    """One reported row of every cell: how it was answered is the same in all."""
+    return sweep[sweep["reported"]].drop_duplicates(["group", "change"])
 
 
 def strongest_sentence(sweep: pd.DataFrame) -> str:

@@ -11,7 +11,7 @@ import pandas as pd
 from cassini_bayes.report.cells import Table
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.study_page import Made, markdown_table, write_page
-from cassini_bayes.report.sweep import changes_table, scaling_table, strongest_sentence
+from cassini_bayes.report.sweep import cells_of, changes_table, scaling_table, strongest_sentence
 from cassini_bayes.sweep.tables import SweepTables
 
 MODULE: Final = "sweep.plan"  # whose code works cells out
@@ -88,7 +88,7 @@ events the data have then been used twice, which makes it lenient).
 
 def _counts(sweep: pd.DataFrame) -> str:
     """How many cells were answered in which way."""
-    per_cell = sweep[sweep["reported"]].drop_duplicates(["group", "change"])
+    per_cell = cells_of(sweep)
     counts = ", ".join(f"{n} {kind}" for kind, n in per_cell["estimate"].value_counts().items())
     return f"{len(per_cell)} cells: {counts}"
 

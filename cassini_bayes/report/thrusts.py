@@ -207,7 +207,7 @@ def _printed_sentence(review: Review, common: pd.Series) -> list[str]:
         return []
     printed = np.asarray(constants["thrust_predicted_n"].values, dtype=float)
     printed = printed[np.isfinite(printed)]
-    if printed.size == 0:
+    if printed.size == 0 or common["sd"] == 0.0:  # a fixed level lies nowhere by itself
         return []
     shift = (float(common["mean"]) - float(printed.mean())) / float(common["sd"])
     low, high = f"{printed.min():.2f}", f"{printed.max():.2f}"

@@ -91,8 +91,11 @@ def summarise(fit: Fit) -> pd.DataFrame:
             }
             chains = variable.values[(slice(None), slice(None), *place)]
             values = chains.reshape(-1)
+            mean, sd = moments(values)
             bulk, tail = stored_ess(chains, walkers)
-            prior_values = before.values[(slice(None), slice(None), *place)].reshape(-1)
+            prior_mean, prior_sd = moments(
+                before.values[(slice(None), slice(None), *place)].reshape(-1)
+            )
             low, high = hdi(values)
             index = f"[{','.join(labels.values())}]" if labels else ""
             rows.append(
@@ -102,13 +105,13 @@ def summarise(fit: Fit) -> pd.DataFrame:
                     "event": labels.get("event", ""),
                     "item": next((v for d, v in labels.items() if d != "event"), ""),
                     "unit": variable.attrs["units"],
-                    "mean": values.mean(),
-                    "sd": values.std(ddof=1),
+                    "mean": mean,
+                    "sd": sd,
                     "median": np.median(values),
                     "hdi_90_low": float(low),
                     "hdi_90_high": float(high),
-                    "prior_mean": prior_values.mean(),
-                    "prior_sd": prior_values.std(ddof=1),
+                    "prior_mean": prior_mean,
+                    "prior_sd": prior_sd,
                     "ess_bulk": bulk,
                     "ess_tail": tail,
                     "rhat": float(rhat.values[place]),
@@ -116,6 +119,13 @@ def summarise(fit: Fit) -> pd.DataFrame:
                 }
             )
     return pd.DataFrame(rows)
+
+
+def moments(draws: Array) -> tuple[float, float]:
+    """Mean and standard deviation of draws (n,): of what is fixed its value, and 0 exactly."""
+    if np.ptp(draws) == 0.0:  # sums of it have rounding
+        return float(draws[0]), 0.0
+    return float(draws.mean()), float(draws.std(ddof=1))
 
 
 def _where_it_is(variable: xr.DataArray) -> xr.DataArray:

@@ -10,11 +10,13 @@ import numpy as np
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
 from cassini_bayes.prediction.learning import Learned
+from cassini_bayes.prediction.predict import thrusts_at
 from cassini_bayes.prediction.requests import BiasRequest
 
 RCS: Final = {"rate_gain_s": 10.0, "hysteresis": 0.15, "rate_knowledge_rad_s": 5e-5}
 """Settings of the controller that come nearest to flight (docs/results/simulation-findings.md)."""
 START_RATE_RAD_S: Final = 2e-5
+_THRUSTS: Final = 1  # stream of the event's own departures of thrust
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,12 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
         raise InputError("--simulate", "a fit of the standard physics", f"one with {names}", fix)
     if learned.mass is None:
         raise InputError("--simulate", "masses in the fit's events", "none", "fill in mass_kg")
+    epoch = request.epoch or learned.last_epoch
+    rng = np.random.default_rng((seed, _THRUSTS))
+    thrusts = thrusts_at(learned, epoch, rng, still=False)
     rows = []
     for draw in range(min(seeds, learned.size)):
-        document = _document(learned, request, draw)
+        document = _document(learned, request, draw, thrusts[draw])
         file = scenario_of(document, where="predict --simulate", craft=learned.model.spacecraft)
         truth = draw_truth(file, seed + draw)
         event = file.scenario.event[0]
@@ -66,10 +71,9 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
     return ClosedLoop(np.array(on_time), np.array(pulses), np.array(lasts))
 
 
-def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, Any]:
-    """A scenario of one bias with the physics of one draw."""
+def _document(learned: Learned, request: BiasRequest, draw: int, thrust_n: Array) -> dict[str, Any]:
+    """A scenario of one bias with the physics of one draw, and its thrusts (K,) then."""
     model, physics = learned.model, learned.physics
-    level = physics.level_n[draw]
     wheels = tuple(w.number for w in model.spacecraft.wheels if w.number in request.wheels)
     order = [request.wheels.index(number) for number in wheels]
     used = {
@@ -78,15 +82,16 @@ def _document(learned: Learned, request: BiasRequest, draw: int) -> dict[str, An
         if wheel.number in wheels
         for name in wheel.parameters
     }
-    wanted = ("tau_", "cm_", "inertia_", "thruster_")
+    used |= set(model.spacecraft.geometry_of(model.branch).parameters)
+    wanted = ("tau_", "cm_", "inertia_")
     truth: dict[str, Any] = {
         name: float(np.broadcast_to(value, (physics.size,))[draw])
         for name, value in physics.parameters.items()
         if name.startswith(wanted) or name in used
     }
-    truth["thrust_common_n"] = float(level.mean())
+    truth["thrust_common_n"] = float(thrust_n.mean())
     truth["thrust_individual_n"] = {
-        name: float(level[k] - level.mean()) for k, name in enumerate(model.thrusters)
+        name: float(thrust_n[k] - thrust_n.mean()) for k, name in enumerate(model.thrusters)
     }
     assert learned.mass is not None
     epoch = request.epoch or learned.last_epoch

@@ -11,6 +11,8 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.files.validated import Table, validated
 
+MOST_WIDTH: Final = 1_000.0  # beyond it a prior has no effect that a float can hold
+MOST_SHIFT: Final = 100.0
 EVENTS: Final = "events"  # the group of cells that leave an event out
 
 
@@ -90,15 +92,18 @@ def _refuse_repeated(sweep: SweepFile, where: str) -> None:
 
 def _check_amounts(grid: GridTable, where: str) -> None:
     for i, width in enumerate(grid.widths, start=1):
-        if not 0.0 < width < float("inf"):
+        if not 1.0 / MOST_WIDTH <= width <= MOST_WIDTH:
             raise InputError(
-                f"{where}.widths[{i}]", "a factor above 0", repr(width), "e.g. 0.5 or 2.0"
+                f"{where}.widths[{i}]",
+                f"a factor above 0, {1.0 / MOST_WIDTH:g} to {MOST_WIDTH:g}",
+                repr(width),
+                "e.g. 0.5 or 2.0",
             )
     for i, shift in enumerate(grid.shifts, start=1):
-        if not abs(shift) < float("inf"):
+        if not abs(shift) <= MOST_SHIFT:
             raise InputError(
                 f"{where}.shifts[{i}]",
-                "a shift in prior standard deviations",
+                f"a shift in prior standard deviations, {MOST_SHIFT:g} at most",
                 repr(shift),
                 "e.g. -1.0 or 1.0",
             )

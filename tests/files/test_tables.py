@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from cassini_bayes.files.tables import frame_csv, inert, rows_csv
+from cassini_bayes.files.tables import frame_csv, frame_records, inert, rows_csv
 
 FORMULAE = ["=cmd|' /C calc'!A0", "+1+1", "-1+cmd|x", "@SUM(A1)", "\t=1", "\n=1"]
 
@@ -45,3 +46,14 @@ def test_a_frame_of_numbers_and_names_is_as_pandas_writes_it() -> None:
     assert frame_csv(frame, digits=6) == frame.to_csv(index=False, float_format="%.6g")
     assert frame_csv(frame, index=True) == frame.to_csv()
     assert rows_csv([["a", 1.5], ["b", -2]]) == "a,1.5\nb,-2\n"
+
+
+def test_records_keep_every_digit() -> None:
+    """Small torques and biases are numbers too; what is not finite is null."""
+    frame = pd.DataFrame({"name": ["a", "b"], "mean": [4.4e-11, np.nan], "count": [1, 2]})
+    assert frame_records(frame) == [
+        {"name": "a", "mean": 4.4e-11, "count": 1},
+        {"name": "b", "mean": None, "count": 2},
+    ]
+    again = json.loads(json.dumps(frame_records(frame)))
+    assert again[0]["mean"] == 4.4e-11

@@ -430,3 +430,17 @@ def test_interval_score_and_coverage() -> None:
 def test_learning_keeps_every_draw() -> None:
     """As many as the fit had."""
     assert learned().size == SIZE
+
+
+def test_cycles_are_those_of_the_spacecraft() -> None:
+    """Twice the period of the controller: half as many cycles of it, each twice as long."""
+    layout = pair_layout(replace(model().spacecraft, control_cycle_s=2 * CONTROL_CYCLE_S), "B")
+    assert layout.cycle_s == 2 * CONTROL_CYCLE_S
+    seen = observe(on_times_from((4.0, 0.6), (9.0, 0.3), 20 * CONTROL_CYCLE_S), layout)
+    assert seen.shared_cycles == 10
+    p = dict(zip(NAMES, (0.1, 4e-4, 0.03, 0.12, 0.4, 0.7, 0.5), strict=True))
+    one, two = (
+        draw_firing(p, plain_features(), np.random.default_rng(3), cycle_s).shared_s
+        for cycle_s in (CONTROL_CYCLE_S, layout.cycle_s)
+    )
+    assert two == 2 * one

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from cassini_bayes.report.plots.sweep import sweep_figures
-from cassini_bayes.report.sweep import strongest_sentence
+from cassini_bayes.report.sweep import cells_of, strongest_sentence
 
 
 def cell(change: str, kind: str, size: float) -> dict[str, object]:
@@ -47,3 +47,14 @@ def test_figures_that_would_be_empty_are_left_out(kind: str, size: float, names:
             table, {"q": ("N", draws)}, [("tail", kind, "width × 2", line)], without, without
         )
     assert set(figures) == names
+
+
+def test_every_cell_counts_once() -> None:
+    """Also one of whose quantities some have no numbers, as that without the event they are of."""
+    rows = [
+        {**cell("width × 2", "width", 1.0), "quantity": "p"},
+        cell("width × 2", "width", 1.0),
+        {**cell("without a", "without", 1.0), "estimate": "refitted"},
+    ]
+    cells = cells_of(pd.DataFrame(rows))
+    assert cells["estimate"].tolist() == ["reweighted", "refitted"]

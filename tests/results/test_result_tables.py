@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from cassini_bayes.results.tables import conflict_sentences, thrust_conflicts, wide_sentences
+from cassini_bayes.results.tables import (
+    conflict_sentences,
+    moments,
+    thrust_conflicts,
+    wide_sentences,
+)
 
 
 def summary(common: float, *levels: float) -> pd.DataFrame:
@@ -45,3 +50,10 @@ def test_a_posterior_in_two_places_is_said() -> None:
     z = np.stack([places, rng.standard_normal(400), 0.3 * rng.standard_normal(400)], axis=1)
     (said,) = wide_sentences(("cm_y_m", "cm_x_m", "tau_fall_s"), z)
     assert said.startswith("cm_y_m: the posterior is 2.0 times as wide as the prior")
+
+
+def test_what_is_fixed_has_its_value_and_no_width() -> None:
+    """Sums of ten thousand draws alike have rounding: no standard deviation of 1e-16."""
+    assert moments(np.full(9_999, 0.77)) == (0.77, 0.0)
+    draws = np.random.default_rng(1).standard_normal(100)
+    assert moments(draws) == (draws.mean(), draws.std(ddof=1))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +44,7 @@ from cassini_bayes.prediction.planning import (
     quantity_draws,
 )
 from cassini_bayes.prediction.predict import predict
-from cassini_bayes.prediction.requests import BiasRequest, parse_bias, request_of
+from cassini_bayes.prediction.requests import BiasRequest, parse_bias, parse_epoch, request_of
 from cassini_bayes.prediction.summary import as_csv, as_text, lines
 from cassini_bayes.report.plots.prediction import (
     leave_one_out_figure,
@@ -525,6 +527,12 @@ def test_plan_texts() -> None:
     """Candidates by information and per gram; the CSV has a row for each."""
     found = small_plan()
     assert plan_csv(found).count("\n") == len(found.candidates) + 1
+    other = replace(found, wheel_names=("rw1", "rw2", "rw3")[: len(found.wheels)])
+    unknown = tuple(replace(c, hydrazine_g=np.nan) for c in found.candidates)
+    rows = list(csv.DictReader(plan_csv(replace(other, candidates=unknown)).splitlines()))
+    assert {"rw1_rpm_end", "sd_after", "unit"} <= rows[0].keys()
+    assert (rows[0]["hydrazine_g"], rows[0]["unit"]) == ("", found.unit)
+    assert "rw1" in plan_text(other, 3)
     text = plan_text(found, 3)
     assert text.count("\n") == 12
     assert " N (1 sd) before" in text
@@ -568,3 +576,30 @@ def _flown_with(own: Learned, request: BiasRequest) -> None:
 
         patch.setattr("cassini_bayes.simulation.make_plan", stop)
         simulate_request(own, request, 1, 1)
+
+
+def test_the_closed_loop_has_the_thrusts_that_are_predicted() -> None:
+    """At the epoch asked for, with departures of the event, and all the spacecraft's geometry."""
+    epoch = parse_epoch("2014-01-01")
+    request = replace(
+        parse_bias("rwa1: -700 -> -300, rwa4: -400 -> -600", model().spacecraft), epoch=epoch
+    )
+    flown: list[dict[str, Any]] = []
+
+    def stop(document: dict[str, Any], **_: object) -> None:
+        flown.append(document)
+        raise InputError("flown", "stop", "stop", "stop")
+
+    for seed in range(20):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("cassini_bayes.simulation.reader.scenario_of", stop)
+            with pytest.raises(InputError, match="flown"):
+                simulate_request(learned(), request, 1, seed)
+    moved = learned().thrust_moved_n(epoch)[0]
+    level = learned().physics.delivered_n(learned().model)[0].mean()
+    assert abs(moved) > 0.01  # years after the last event
+    common = np.array([document["truth"]["thrust_common_n"] for document in flown])
+    assert common.std() > 0.0
+    assert abs(common.mean() - level - moved) < 4 * common.std() / np.sqrt(len(common))
+    geometry = model().spacecraft.geometry_of("B").parameters
+    assert set(geometry) <= flown[0]["truth"].keys()

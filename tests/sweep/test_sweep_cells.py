@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ from cassini_bayes.results.record import Fit
 from cassini_bayes.sweep.cells import BY_CHAIN, REFITTED, REWEIGHTED, cell_arrays
 from cassini_bayes.sweep.models import Factory, chosen_names
 from cassini_bayes.sweep.plan import plan
-from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile
+from cassini_bayes.sweep.specification import GridTable, GroupTable, SweepFile, check_sweep
 from cassini_bayes.sweep.variations import Group, Variation, blocks_of, grid_of, with_family
 from cassini_bayes.sweep.weights import Weights, smoothed_weights
 
@@ -327,3 +327,20 @@ def test_other_families_keep_the_ends_of_the_support(
 def test_a_family_that_a_prior_has_changes_nothing(distribution: Distribution, family: str) -> None:
     """Not even the last digit: a cell that changes nothing is left out of a sweep."""
     assert with_family(distribution, family) is distribution
+
+
+@pytest.mark.parametrize(
+    ("grid", "said"),
+    [
+        (
+            {"shifts": [2_000.0]},
+            r"s: grid.shifts\[1\]: expected a shift in prior standard deviations, 100 at most",
+        ),
+        ({"widths": [0.5, 1e9]}, r"s: grid.widths\[2\]: expected a factor above 0, 0.001 to 1000"),
+        ({"widths": [0.0]}, r"s: grid.widths\[1\]"),
+    ],
+)
+def test_amounts_that_no_float_can_hold_are_refused(grid: dict[str, Any], said: str) -> None:
+    """A prior moved by two thousand of its widths is a slip, and overflows a lognormal."""
+    with pytest.raises(InputError, match=said):
+        check_sweep({"grid": grid}, "s")
