@@ -82,8 +82,9 @@ def mission_of(
     events: Sequence[TotalsEvent], table: MissionTable, priors: Priors | None = None
 ) -> MissionModel:
     """The model of totals rows in a mission."""
-    circumstances: Circumstances = circumstances_of(table, facts_of(events), "mission.toml")
-    return build_mission(table, priors or read_priors(PRIORS), events, circumstances)
+    where = "mission.toml"
+    circumstances: Circumstances = circumstances_of(table, facts_of(events), where)
+    return build_mission(table, priors or read_priors(PRIORS), events, circumstances, where)
 
 
 def values_at(model: MissionModel, z: np.ndarray) -> dict[str, float]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import json
 import re
+import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -24,7 +26,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics import ExtraColumn, RowContext, Samples
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.effects.controller import Fired
-from cassini_bayes.effects.effect import Kind
+from cassini_bayes.effects.effect import Kind, SearchResult
 from cassini_bayes.effects.printed import Printed
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number
@@ -37,6 +39,7 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
     "columns": ("thrusters",),
     "search": ("remainder", "priors"),
     "report": ("values", "setting"),
+    "drawn": ("setting", "rng", "n"),
     "left_open": ("fired", "rows", "values", "setting"),
     "fire": ("controller", "values"),
     "doubt": ("printed", "width"),
@@ -46,12 +49,14 @@ ARGUMENTS: Final[Mapping[str, tuple[str, ...]]] = {
 
 RESULTS: Final[Mapping[str, type]] = {
     "change": Physics,
-    **dict.fromkeys(("report", "doubt"), dict),
+    **dict.fromkeys(("report", "drawn", "doubt"), dict),
     "columns": tuple,
     "fire": Fired,
     "says": str,
 }
 """Types of what functions return; that of a simulation is its argument's."""
+_SETTLED: Final = tuple(name for name in vars(SearchResult) if not name.startswith("_"))
+"""What others read of what a search settled."""
 
 
 class _Source(SourceFileLoader):
@@ -81,9 +86,11 @@ def load_module(path: Path) -> ModuleType:
             "rename it",
         )
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # a dataclass looks up its annotations there
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        del sys.modules[name]
         raise _fault(path, "a Python file that can be run", error) from None
     return module
 
@@ -155,7 +162,7 @@ def _hook_line(path: Path, hook: Any) -> str:
 def guarded(path: Path, name: str, hook: Any, reported: tuple[str, ...] = ()) -> Callable[..., Any]:
     """A function of a user's file, whose faults are one line, and whose result is checked.
 
-    A report has to give the sizes that its kind says are ``reported``.
+    A report has to give the sizes that its kind says are ``reported``, and draws no others.
 
     Raises
     ------
@@ -179,12 +186,19 @@ def guarded(path: Path, name: str, hook: Any, reported: tuple[str, ...] = ()) ->
             raise _fault(path, f"{wanted} that returns", error) from None
         where = f"{_hook_line(path, hook)}: {name}"
         result = _checked(path, where, name, result, given)
-        if name == "report" and set(result) != set(reported):
+        if _has_other_sizes(name, result, reported):
             expected = f"the sizes that KIND.reported names, {sorted(reported)}"
-            raise InputError(where, expected, str(sorted(result)), "return these")
+            raise InputError(where, expected, str(sorted(map(str, result))), "return these")
         return result
 
     return call
+
+
+def _has_other_sizes(name: str, result: Any, reported: tuple[str, ...]) -> bool:
+    """Whether a report gives not all sizes, or it or draws any that are not reported."""
+    if name == "report":
+        return set(result) != set(reported)
+    return name == "drawn" and bool(reported) and not set(result) <= set(reported)
 
 
 def _fault(path: Path, expected: str, error: BaseException) -> InputError:
@@ -212,13 +226,19 @@ def _checked(path: Path, where: str, name: str, result: Any, given: tuple[Any, .
     elif name == "left_open":
         columns, variances = _pair(where, result)
         _check_shape(f"{where}: columns", columns, (len(given[1].time_s), 3, len(variances)))
-    elif name == "report":
-        for key, value in result.items():
-            _check_shape(f"{where}: {key}", value, (len(next(iter(given[0].values()))),))
+    elif name in ("report", "drawn"):
+        n = given[2] if name == "drawn" else len(next(iter(given[0].values())))
+        return {key: _sizes(f"{where}: {key}", value, n) for key, value in result.items()}
     elif name == "doubt":
         for key, value in result.items():
             _check_type(f"{where}: {key}", value, Printed)
     return result
+
+
+def _sizes(where: str, value: Any, n: int) -> Array:
+    """One finite size for every draw (n,): a single number is that of all."""
+    _check_numbers(where, value, (n,))
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (n,))
 
 
 def _check_type(where: str, result: object, wanted: type) -> None:
@@ -243,6 +263,7 @@ def _check_physics(
         "wheel_axes": (3, *wheels),
         "wheel_inertia_kg_m2": wheels,
         "arms_m": (3, *thrusters),
+        **dict.fromkeys(("close_share", "pair_factor", "late_factor", "open_factor"), ()),
         "thrust_factor": thrusters,
         "impulse_offset_s": thrusters,
         "steady_torque_n_m": axes,
@@ -253,6 +274,13 @@ def _check_physics(
         value = getattr(result, field.name)
         if value is not getattr(given, field.name) and field.name in tails:
             _check_numbers(f"{where}: {field.name}", value, (points, *tails[field.name]))
+    tau_s: Any = result.tau_s  # a user may have given anything
+    if tau_s is not given.tau_s:
+        if not isinstance(tau_s, tuple) or len(tau_s) != 3:
+            got = type(tau_s).__name__
+            raise InputError(f"{where}: tau_s", "three arrays", got, "return delay, rise and fall")
+        for name, tau in zip(("delay", "rise", "fall"), tau_s, strict=True):
+            _check_numbers(f"{where}: tau_s ({name})", tau, (points,))
     for name, weight in result.extra.items():
         if given.extra.get(name) is not weight:
             tail = () if "@" in name else axes
@@ -286,24 +314,58 @@ def _check_shape(where: str, value: Any, wanted: Shape) -> None:
 
 
 def _checked_search(path: Path, where: str, result: Any) -> Any:
-    """What a search settled, its columns checked as those of a kind are."""
-    lacking = [name for name in ("log_gain", "log_looks", "columns") if not hasattr(result, name)]
-    if lacking:
-        raise InputError(where, f"a result with {lacking[0]}", repr(result)[:60], "give it one")
+    """What a search settled, its functions checked at every call as those of a kind are."""
+    settled = {name: _settled(path, where, result, name) for name in _SETTLED}
     for name in ("log_gain", "log_looks"):
-        finite_number(f"{where}: {name}", getattr(result, name))
-    columns = result.columns
+        finite_number(f"{where}: {name}", settled[name])
+    _check_type(f"{where}: said", settled["said"], str)
+    for name in ("prior_scales", "record"):
+        _check_type(f"{where}: {name}", settled[name], Mapping)
+    for key, scale in settled["prior_scales"].items():
+        place = f"{where}: prior_scales[{key!r}]"
+        if finite_number(place, scale) <= 0.0:
+            raise InputError(place, "a factor above 0", repr(scale), "mend it, or leave it out")
+    try:
+        json.dumps(dict(settled["record"]))
+    except (TypeError, ValueError) as error:
+        expected, fix = "texts and plain numbers", "turn arrays into lists of numbers"
+        raise InputError(f"{where}: record", expected, str(error), fix) from None
 
-    def checked(samples: Samples) -> tuple[ExtraColumn, ...]:
-        try:
-            made = columns(samples)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
-            raise _fault(path, "columns(samples) that returns", error) from None
+    def columns(samples: Samples) -> tuple[ExtraColumn, ...]:
+        made = _called(path, "columns(samples)", settled["columns"], samples)
         _check_type(f"{where}: columns", made, tuple)
         return tuple(_checked_column(path, where, column, ()) for column in made)
 
-    object.__setattr__(result, "columns", checked)  # frozen or not, it has to be this one
+    def log_start_of(samples: Samples) -> float:
+        cost = _called(path, "log_start_of(samples)", settled["log_start_of"], samples)
+        return finite_number(f"{where}: log_start_of", cost)
+
+    try:
+        for name, checked in (("columns", columns), ("log_start_of", log_start_of)):
+            object.__setattr__(result, name, checked)  # frozen or not, it has to be this one
+    except (AttributeError, TypeError):
+        expected = "an object whose functions can be replaced by checked ones"
+        fix = "make it a dataclass without slots, that inherits from SearchResult"
+        raise InputError(where, expected, repr(result)[:60], fix) from None
     return result
+
+
+def _settled(path: Path, where: str, result: Any, name: str) -> Any:
+    """One attribute of what a search settled."""
+    try:
+        return getattr(result, name)
+    except AttributeError:
+        fix = "give it one, or inherit from SearchResult"
+        raise InputError(where, f"a result with {name}", repr(result)[:60], fix) from None
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        raise _fault(path, f"{name} of what a search settled", error) from None
+
+
+def _called(path: Path, wanted: str, function: Any, samples: Samples) -> Any:
+    try:
+        return function(samples)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        raise _fault(path, f"{wanted} that returns", error) from None
 
 
 def _checked_column(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from cassini_bayes.files.reading import open_file
 
 PARTIAL: Final = ".partial"
 """Marks the temporary files of :func:`atomic_write`; only a kill leaves one behind."""
+_MADE_BY: Final = re.compile(rf"\.(\d+)-[^.]*{re.escape(PARTIAL)}")  # number of the process
 
 
 @contextmanager
@@ -31,7 +33,9 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.name}.", suffix=f"{PARTIAL}{path.suffix}"
+            dir=path.parent,
+            prefix=f".{path.name}.{os.getpid()}-",
+            suffix=f"{PARTIAL}{path.suffix}",
         )
         os.close(handle)
     except OSError as error:
@@ -55,10 +59,27 @@ def is_leftover(path: Path) -> bool:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove, in a folder and those below it, what killed writes left behind."""
+    """Remove, in a folder and those below it, what killed writes left behind.
+
+    What another process of this host is writing stays.
+    """
     for path in folder.rglob(f".*{PARTIAL}*"):
-        if is_leftover(path):
+        if is_leftover(path) and not _is_being_written(path):
             path.unlink(missing_ok=True)
+
+
+def _is_being_written(path: Path) -> bool:
+    """Whether another process that runs on this host has made a temporary file."""
+    made_by = _MADE_BY.search(path.name)
+    if made_by is None or int(made_by[1]) == os.getpid():  # a killed one may have had our number
+        return False
+    try:
+        os.kill(int(made_by[1]), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
 
 
 def _sync(path: Path) -> None:

@@ -28,10 +28,10 @@ _EXPECTED: Final = {
 class Table(BaseModel):
     """A table of a file: unknown keys are refused, values never change.
 
-    Strict: a quoted number or a boolean is a mistake, not a number.
+    Strict: a quoted number or a boolean is a mistake, not a number, and so are nan and inf.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 def validated(model: type[Model], table: Mapping[str, Any], where: str) -> Model:

@@ -25,9 +25,11 @@ from cassini_bayes.files.netcdf import read_groups
 from cassini_bayes.files.storage import digest
 from cassini_bayes.priors.distributions import Distribution, standard_columns
 from cassini_bayes.priors.parameter_space import JointNormal
+from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.parameters import SOFTWARE, THRUST_COMMON
 
 LEVELS: Final = "thrust_level_n"
+WHEEL_INERTIA: Final = "rwa_inertia_kg_m2"
 MOST_SKEW: Final = 0.75
 LEAST_KURTOSIS: Final = -1.0  # two modes
 MOST_KURTOSIS: Final = 2.0  # a Student-t of seven degrees of freedom
@@ -113,7 +115,7 @@ def read_earlier(
     path: Path,
     where: str,
     distributions: Mapping[str, Distribution],
-    wheels: Mapping[str, str],
+    spacecraft: Spacecraft,
     thrusters: Sequence[str],
 ) -> EarlierFit:
     """Moments of the joint posterior in ``fit.nc``.
@@ -124,15 +126,15 @@ def read_earlier(
         The file, and the key of the priors file that names it.
     distributions
         Free parameters of the priors file; those that the fit walked are chained.
-    wheels
-        Wheel inertia parameter → the wheel's name in the fit.
+    spacecraft
+        That of the priors file: its wheels.
     thrusters
         Thrusters of the branch in order: the fit has to be of the same.
 
     Raises
     ------
     InputError
-        No such fit, another branch, or draws that are visibly not normal.
+        No such fit, another branch, nothing to chain, or draws that are visibly not normal.
     """
     posterior, content = _posterior(path, where)
     if LEVELS not in posterior:
@@ -142,6 +144,7 @@ def read_earlier(
         raise InputError(
             where, f"a fit of {', '.join(thrusters)}", ", ".join(result), "chain fits of one branch"
         )
+    wheels = inertia_wheels(posterior, spacecraft)
     columns, names = [], []
     for name, distribution in distributions.items():
         # the levels hold the common one, unless it is walked
@@ -151,6 +154,13 @@ def read_earlier(
         if values is not None:
             names.append(name)
             columns.append(distribution.standard_of(values))
+    if not names:
+        raise InputError(
+            where,
+            "a free parameter that the earlier fit walked",
+            f"none: what {path} walked is fixed here, or not in this file",
+            "give one of them dist in place of fixed, or leave from_fit out",
+        )
     levels = posterior[LEVELS].values.reshape(-1, len(result))
     step = -(-len(levels) // MOST_DRAWS)
     z, levels = np.stack(columns, axis=-1)[::step], np.asarray(levels[::step], dtype=np.float64)
@@ -174,13 +184,25 @@ def _posterior(path: Path, where: str) -> tuple[xr.Dataset, str]:
     return groups["posterior"], digest(path)
 
 
+def inertia_wheels(posterior: xr.Dataset, spacecraft: Spacecraft) -> dict[str, str]:
+    """Inertia parameter → name of the first wheel that has it, of those in a posterior.
+
+    Wheels may share a parameter, and a fit has prime wheels only.
+    """
+    if WHEEL_INERTIA not in posterior:
+        return {}
+    fitted = set(map(str, posterior[WHEEL_INERTIA].coords["wheel"].values))
+    return {
+        wheel.inertia_parameter: wheel.name
+        for wheel in reversed(spacecraft.wheels)
+        if wheel.name in fitted
+    }
+
+
 def _draws(posterior: xr.Dataset, name: str, wheels: Mapping[str, str]) -> Array | None:
     """Draws (n,) of a parameter that the earlier fit walked; None where it did not."""
-    if name in wheels and "rwa_inertia_kg_m2" in posterior:
-        stored = posterior["rwa_inertia_kg_m2"]
-        if wheels[name] not in stored.coords["wheel"].values:
-            return None
-        values = stored.sel(wheel=wheels[name]).values.reshape(-1)
+    if name in wheels:
+        values = posterior[WHEEL_INERTIA].sel(wheel=wheels[name]).values.reshape(-1)
     elif name in posterior and posterior[name].ndim == 2:  # one number per draw
         values = posterior[name].values.reshape(-1)
     else:

@@ -339,7 +339,7 @@ def _chained(priors: Priors, value: object) -> Priors:
         Path(priors.path).parent / file,
         where,
         {n: p.distribution for n, p in priors.parameters.items() if p.distribution is not None},
-        {wheel.inertia_parameter: wheel.name for wheel in craft.wheels},
+        craft,
         [thruster.name for thruster in craft.thrusters_of(priors.branch)],
     )
     return replace(priors, earlier=earlier)

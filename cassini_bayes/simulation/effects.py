@@ -241,9 +241,13 @@ class ChosenEffect:
         """The name as a scenario and a diagnosis spell it."""
         return f"{self.effect.name}:{self.target}" if self.target else self.effect.name
 
+    def acts_in(self, event: str) -> bool:
+        """Whether it acts in an event of this id."""
+        return self.events is None or event in self.events
+
     def applied(self, plan: Plan) -> Plan:
         """The plan with this effect, if it acts in that event."""
-        if self.events is not None and plan.event.id not in self.events:
+        if not self.acts_in(plan.event.id):
             return plan
         return self.effect.change(plan, self.target, self.values)
 

@@ -24,14 +24,16 @@ from cassini_bayes.spacecraft.reader import check_either
 
 DRAW_FROM: Final = "draw_from"
 _BY_THRUSTER: Final = ("thrust_individual_n", "thrust_jitter_n")
+SEVERAL: Final = ("flexible_mode",)  # every one is an appendage; of all others the last would act
 _LIMITS: Final = (
     Limit(".*_rad", is_angle, "an angle in rad, within a turn", "convert degrees"),
     Limit(
-        "thrust_common_n|mass_kg|mass_factor|inertia_(xx|yy|zz)_kg_m2|.*_inertia_kg_m2",
+        "thrust_common_n|mass_kg|mass_factor|accelerometer_scale_m_s"
+        "|inertia_(xx|yy|zz)_kg_m2|.*_inertia_kg_m2",
         *(is_positive, "a number above 0", "check sign and unit"),
     ),
     Limit(
-        "tau_.*|.*_noise_(rad_s|rpm|rad|m_s)|.*_resolution_(s|rpm)",
+        "tau_.*|.*_noise_(rad_s|rpm|rad|m_s)|.*_resolution_(s|rpm|m_s)",
         *(is_not_negative, "0 or more", "check the sign"),
     ),
 )
@@ -154,15 +156,36 @@ def _effects(
     known: Mapping[str, Effect],
 ) -> tuple[ChosenEffect, ...]:
     """The requested effects, checked against the catalogue, the spacecraft and the events."""
-    effects = []
+    effects: list[ChosenEffect] = []
     for request in scenario.effect:
         place = f"{where}: effect.{request.name}"
         for name in request.events or ():
             check_known(f"{place}.events", name, sorted(ids), "ids of events")
         table = scenario.spacecraft
         chosen = choose_effect(request, spacecraft, table.branch, table.wheels, place, known)
+        _check_beside(place, chosen, effects, ids)
         effects.append(chosen)
     return tuple(effects)
+
+
+def _check_beside(
+    place: str, chosen: ChosenEffect, others: list[ChosenEffect], ids: tuple[str, ...]
+) -> None:
+    """Refuse an effect in place of which, or with which, one before it would not act as told."""
+    for other in others:
+        shared = [event for event in ids if chosen.acts_in(event) and other.acts_in(event)]
+        if shared and other.name == chosen.name and chosen.name not in SEVERAL:
+            expected, got = "an effect once in an event", f"it again in {shared[0]}"
+            raise InputError(place, expected, got, "leave one out, or tell them other events")
+        starts = [each.values.get("start_s", 0.0) for each in (other, chosen)]
+        is_leak = other.effect.name == chosen.effect.name == "thruster_leak"
+        if shared and is_leak and starts[0] != starts[1]:
+            raise InputError(
+                f"{place}.parameters.start_s",
+                f"{starts[0]:g}, as of {other.name}: leaks in {shared[0]} begin at once",
+                f"{starts[1]:g}",
+                "give both the same start_s, or tell them other events",
+            )
 
 
 def _spacecraft(where: str, folder: Path, scenario: Scenario) -> Spacecraft:
@@ -313,8 +336,8 @@ def _check_truth(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None
 def _check_platforms(where: str, scenario: Scenario, spacecraft: Spacecraft) -> None:
     wheels = scenario.spacecraft.wheels
     spacecraft.with_platforms(scenario.truth).check_platforms(wheels, f"{where}: truth")
-    for index, event in enumerate(scenario.event):
-        place = f"{where}: event.{index}.truth"
+    for event in scenario.event:
+        place = f"{where}: event.{event.id}.truth"
         spacecraft.with_platforms(event.truth).check_platforms(wheels, place)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known
@@ -36,28 +37,33 @@ UNIT_TOLERANCE: Final = 1e-6
 
 _OPPOSITE: Final = dict(zip("+-", "-+", strict=True))
 
+
+def _names_a_file(branch: str) -> str:
+    """Refuse what cannot be part of a file's name: figures and tables are named by branch."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", branch):
+        raise ValueError("a name of letters, digits, '_', '.' and '-', the first no sign")
+    return branch
+
+
 _Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*$")]
 _ParameterName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+_Branch = Annotated[str, AfterValidator(_names_a_file)]
 _Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
-class _Table(Table):
-    model_config = ConfigDict(allow_inf_nan=False)
-
-
-class _ParameterTable(_Table):
+class _ParameterTable(Table):
     unit: str = Field(min_length=1)
     block: str
     meaning: str = Field(min_length=1)
 
 
-class _ArticulationTable(_Table):
+class _ArticulationTable(Table):
     parameter: str
     about: _Triple
     axis_at_rad: float
 
 
-class _WheelTable(_Table):
+class _WheelTable(Table):
     number: int = Field(ge=1)
     name: _Name
     axis: _Triple
@@ -66,16 +72,16 @@ class _WheelTable(_Table):
     articulation: _ArticulationTable | None = None
 
 
-class _ThrusterTable(_Table):
+class _ThrusterTable(Table):
     name: _Name
     branches: list[str] = Field(min_length=1)
     position: Annotated[list[float | str], Field(min_length=3, max_length=3)]
     direction: _Triple
 
 
-class _File(_Table):
+class _File(Table):
     name: str = Field(min_length=1)
-    branches: list[Annotated[str, Field(min_length=1)]] = Field(min_length=1)
+    branches: list[_Branch] = Field(min_length=1)
     parameters: dict[_ParameterName, _ParameterTable]
     wheel: list[_WheelTable] = Field(min_length=1)
     thruster: list[_ThrusterTable] = Field(min_length=1)

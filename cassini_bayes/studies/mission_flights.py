@@ -204,7 +204,8 @@ def _bias(event: TotalsEvent, name: str, epoch: datetime, rng: np.random.Generat
 
 def _model(events: Sequence[TotalsEvent], table: MissionTable, priors: Priors) -> MissionModel:
     facts = [EventFacts(e.id, e.epoch, e.branch, True, None) for e in events]
-    return build_mission(table, priors, events, circumstances_of(table, facts, "simulated"))
+    where = "simulated"
+    return build_mission(table, priors, events, circumstances_of(table, facts, where), where)
 
 
 def _true_thrusts(

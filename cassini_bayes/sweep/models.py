@@ -15,6 +15,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import nearest
 from cassini_bayes.model.posterior import Event, Model, build_model, log_likelihood
 from cassini_bayes.model.totals import DeltaVUse
+from cassini_bayes.priors.chaining import WHEEL_INERTIA, inertia_wheels
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.results.groups import build_fit
@@ -184,10 +185,10 @@ def walked_values(
         The data set has no draws of one of them.
     """
     scalars = dict(_scalars(dataset))
-    wheels = {wheel.inertia_parameter: wheel.name for wheel in spacecraft.wheels}
+    wheels = inertia_wheels(dataset, spacecraft)
     result = {}
     for name in names:
-        kept = f"rwa_inertia_kg_m2[{wheels[name]}]" if name in wheels else name
+        kept = f"{WHEEL_INERTIA}[{wheels[name]}]" if name in wheels else name
         if kept not in scalars:
             raise InputError(
                 "fit.nc: posterior",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.hypotheses import compact, extend, none_hypothesis
 from cassini_bayes.diagnosis.verdict import weigh
 from cassini_bayes.diagnosis.visible import no_effect, prior_width
+from cassini_bayes.effects.effect import Kind
 from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent, read_totals
@@ -151,6 +153,17 @@ def test_an_effect_of_no_size_is_the_baseline(tmp_path: Path) -> None:
         ("arms_m=arms)", "arms_m=arms * 1j)", r"line \d+: change: arms_m: .*real numbers"),
         ("arms_m=arms)", "arms_m='wide')", r"line \d+: change: arms_m: .*real numbers"),
         ("arms_m=arms)", "arms_m=[[1.0], 2.0])", r"line \d+: change: arms_m: .*real numbers"),
+        ("arms_m=arms)", "tau_s=3)", "change: tau_s: expected three arrays, got int"),
+        ("arms_m=arms)", "tau_s=(arms,) * 3)", r"change: tau_s \(delay\): .*an array \(2,\)"),
+        (
+            "arms_m=arms)",
+            "tau_s=(*physics.tau_s[:2], np.array(np.nan)))",
+            r"change: tau_s \(fall\): expected finite values",
+        ),
+        ("arms_m=arms)", "close_share=np.nan)", "change: close_share: expected finite values"),
+        ("arms_m=arms)", "pair_factor=arms)", r"change: pair_factor: expected an array \(2,\)"),
+        ("arms_m=arms)", "late_factor='a')", "change: late_factor: expected real numbers"),
+        ("arms_m=arms)", "open_factor=np.inf)", "change: open_factor: expected finite values"),
         ("arms_m=arms)", "arm_m=arms)", r"line \d+: .*TypeError.*arm_m"),
         ("import numpy as np", "import numpy as np; exit(3)", r"line \d+: .*SystemExit"),
         ("k = setting.thruster", "return k()", r"line \d+: .*UnboundLocalError|NameError"),
@@ -265,8 +278,22 @@ def test_a_file_has_a_name_that_an_effect_can_have(tmp_path: Path, name: str) ->
         read_kinds([tmp_path / f"{name}.py"])
 
 
+def kind_of(path: Path) -> Kind:
+    """The kind of a copy of the example."""
+    return next(kind for kind, _ in read_kinds([path]).kinds if kind.name == "plume")
+
+
 SEARCH = """
 from types import SimpleNamespace
+
+def settled(**given):
+    usual = dict(prior_scales={{}}, said="", record={{}}, log_start_of=lambda samples: 0.0)
+    return SimpleNamespace(**(usual | dict(log_gain=1.0, log_looks=0.0, columns=tuple) | given))
+
+class Slotted(SimpleNamespace):
+    @property
+    def columns(self):
+        return tuple
 
 def search(remainder, priors):
     return {result}
@@ -280,18 +307,30 @@ def search(remainder, priors):
         ("5", r"plume.py, line \d+: search: expected a result with log_gain, got 5"),
         ("1 / 0", r"plume.py, line \d+: .*ZeroDivisionError"),
         (
-            "SimpleNamespace(log_gain='a', log_looks=0.0, columns=None)",
+            "settled(log_gain='a', columns=None)",
             "search: log_gain: .*number",
         ),
-        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: s.x)", "AttributeError"),
-        ("SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=lambda s: [])", "a tuple, got list"),
+        ("settled(columns=lambda s: s.x)", "AttributeError"),
+        ("settled(columns=lambda s: [])", "a tuple, got list"),
+        (
+            "SimpleNamespace(log_gain=1.0, log_looks=0.0, columns=tuple)",
+            "search: expected a result with prior_scales, .*inherit from SearchResult",
+        ),
+        ("settled(said=5)", "search: said: expected a str, got int"),
+        ("settled(prior_scales=[1.0])", "search: prior_scales: expected a Mapping, got list"),
+        ("settled(prior_scales={'a': 0.0})", r"prior_scales\['a'\]: expected a factor above 0"),
+        ("settled(record={'a': {1j}})", "search: record: expected texts and plain numbers"),
+        (
+            "Slotted(**{k: v for k, v in vars(settled()).items() if k != 'columns'})",
+            "search: expected an object whose functions can be replaced",
+        ),
     ],
 )
 def test_what_a_search_settled_is_checked(tmp_path: Path, result: str, told: str) -> None:
     """Its figures at once, its columns when they are asked for."""
     path = copied(tmp_path, "KIND = Kind(", SEARCH.format(result=result) + "KIND = Kind(")
     path.write_text(path.read_text().replace("    change,\n", "    change,\n    search=search,\n"))
-    kind = next(kind for kind, _ in read_kinds([path]).kinds if kind.name == "plume")
+    kind = kind_of(path)
     assert kind.search is not None
 
     def searched() -> object:
@@ -299,6 +338,81 @@ def test_what_a_search_settled_is_checked(tmp_path: Path, result: str, told: str
 
     with pytest.raises(InputError, match=told):
         searched()
+
+
+@pytest.mark.parametrize(
+    ("cost", "told"),
+    [("samples.x", r"plume.py, line \d+: .*AttributeError"), ("'a'", "log_start_of: .*number")],
+)
+def test_what_a_search_costs_in_an_event_is_checked(tmp_path: Path, cost: str, told: str) -> None:
+    """When it is asked for; one that is a number is that number (negative control)."""
+
+    def cost_of(text: str) -> float:
+        result = f"settled(log_start_of=lambda samples: {text})"
+        path = copied(tmp_path, "KIND = Kind(", SEARCH.format(result=result) + "KIND = Kind(")
+        text = path.read_text().replace("    change,\n", "    change,\n    search=search,\n")
+        path.write_text(text)
+        search = kind_of(path).search
+        return search(None, {}).log_start_of(None)  # type: ignore[misc, arg-type, union-attr]
+
+    assert cost_of("0.5") == 0.5
+    with pytest.raises(InputError, match=told):
+        cost_of(cost)
+
+
+DRAWN = """
+def drawn(setting, rng, n):
+    return {result}
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        ("5", r"plume.py, line \d+: drawn: expected a dict, got int"),
+        ("1 / 0", r"plume.py, line \d+: .*ZeroDivisionError"),
+        ("{'lever_m': rng.standard_normal(n + 1)}", r"drawn: lever_m: expected an array \(7,\)"),
+        ("{'lever_m': rng.standard_normal(n) / 0}", "drawn: lever_m: expected finite values"),
+        ("{'lever': rng.standard_normal(n)}", r"drawn: .*KIND.reported names, \['lever_m'\]"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:divide by zero")
+def test_draws_of_sizes_are_checked(tmp_path: Path, result: str, told: str) -> None:
+    """Finite numbers for every draw, of sizes that there are; one number is that of all draws."""
+
+    def draws(text: str) -> np.ndarray:
+        path = copied(tmp_path, "KIND = Kind(", DRAWN.format(result=text) + "KIND = Kind(")
+        own = "    change,\n    drawn=drawn,\n    reported=('lever_m',),\n"
+        path.write_text(path.read_text().replace("    change,\n", own))
+        drawn = kind_of(path).drawn
+        return drawn(None, np.random.default_rng(1), 7)["lever_m"]  # type: ignore[misc, arg-type]
+
+    assert draws("{'lever_m': 0.5}") == pytest.approx(np.full(7, 0.5))
+    with pytest.raises(InputError, match=told):
+        draws(result)
+
+
+def test_a_draw_that_is_no_function_is_refused(tmp_path: Path) -> None:
+    """When the file is read, as every other function of a kind is."""
+    path = copied(tmp_path, "    change,\n", "    change,\n    drawn=3,\n")
+    with pytest.raises(InputError, match=r"expected drawn\(setting, rng, n\), .*not a callable"):
+        read_kinds([path])
+
+
+def test_a_file_with_postponed_annotations_is_run(tmp_path: Path) -> None:
+    """A dataclass in it looks its module up; one that fails leaves no module behind."""
+    path = copied(
+        tmp_path,
+        "from dataclasses import replace",
+        "from __future__ import annotations\nfrom dataclasses import dataclass, replace\n"
+        "@dataclass\nclass Line:\n    frequency_hz: float\n",
+    )
+    assert kind_of(path).name == "plume"
+    path.write_text(path.read_text().replace("class Line:", "class Line(Lin):"))
+    with pytest.raises(InputError, match="NameError"):
+        read_kinds([path])
+    assert "effect_plume" not in sys.modules
 
 
 def test_two_effects_have_columns_of_their_own(tmp_path: Path) -> None:

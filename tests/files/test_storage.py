@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import subprocess
+import sys
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -136,6 +139,45 @@ def test_leftovers_of_a_killed_write_are_known_and_removed(tmp_path: Path) -> No
     remove_leftovers(tmp_path)
     assert names(tmp_path) == sorted([*own, "fit.nc", "sub"])
     assert names(tmp_path / "sub") == ["fit.nc"]
+
+
+@pytest.mark.parametrize("name", ["fit.nc", "plain"])
+def test_what_another_process_is_writing_stays(tmp_path: Path, name: str) -> None:
+    """Two sweeps may share a folder; once the other process has ended, its files are leftovers."""
+    write = (
+        "import sys, pathlib; from cassini_bayes.files.storage import atomic_write\n"
+        "with atomic_write(pathlib.Path(sys.argv[1])) as temporary:\n"
+        "    print(temporary.name, flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    arguments = [sys.executable, "-c", write, str(tmp_path / name)]
+    with subprocess.Popen(arguments, stdin=PIPE, stdout=PIPE, text=True) as other:
+        assert other.stdout is not None
+        written = other.stdout.readline().strip()
+        remove_leftovers(tmp_path)
+        assert names(tmp_path) == [written]
+        other.kill()
+    assert names(tmp_path) == [written]
+    remove_leftovers(tmp_path)
+    assert names(tmp_path) == []
+
+
+def test_leftovers_of_any_user_or_number_can_be_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process of another user runs; a number that no process can have is of none."""
+    ours = [".a.1-x.partial", f".b.{10**30}-x.partial", ".c.x8.partial.toml"]
+    for name in ours:
+        (tmp_path / name).write_text("half")
+
+    def denied(number: int, _: int) -> None:
+        if number == 1:
+            raise PermissionError
+        raise OverflowError
+
+    monkeypatch.setattr(storage.os, "kill", denied)
+    remove_leftovers(tmp_path)
+    assert names(tmp_path) == [".a.1-x.partial"]
 
 
 def test_a_temporary_file_without_suffix_is_a_leftover_too(tmp_path: Path) -> None:

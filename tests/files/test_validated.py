@@ -62,6 +62,10 @@ def test_a_good_table_is_an_object() -> None:
             {"wheel": [{**ENTRY, "axis": [0.0, "1", 0.0]}]},
             r"w2\.axis\[2\]: expected a valid number",
         ),
+        (
+            {"wheel": [{**ENTRY, "axis": [0.0, float("inf"), 0.0]}]},
+            r"w2\.axis\[2\]: expected a finite number, got inf",
+        ),
         ({"wheel": 3}, r"wheel: expected a list, got 3; use brackets"),
         ({"parameters": {"unit": {"unti": "m"}}}, r"parameters\.unit\.unti: .*mean 'unit'"),
         ({"parameters": {"x": 3}}, r"a table \[parameters\.x\], got 3"),

@@ -28,13 +28,15 @@ from cassini_bayes.model import (
     observability,
     reduce_event,
 )
-from cassini_bayes.priors.chaining import EarlierFit
+from cassini_bayes.priors.chaining import EarlierFit, inertia_wheels
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, save_fit
 from cassini_bayes.sampling.warmstart import WarmStart, warm_start
 from cassini_bayes.simulation import scenario_of
+from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.studies.scenario import simulate_file, write_simulation
+from cassini_bayes.sweep.models import walked_values
 
 LEVELS = "thrust_level_n"
 DRAWS = 8_000
@@ -222,6 +224,45 @@ def test_draws_that_are_visibly_not_normal_are_refused(chain: Chained, change: s
     with pytest.raises(InputError, match=wanted) as caught:
         read_priors(chained_file(folder, name))
     assert "from_fit" in caught.value.where
+
+
+def test_a_file_that_fixes_all_that_was_walked_is_refused(chain: Chained) -> None:
+    """Nothing would be handed on but levels, whose mean is a regression on what was walked."""
+    folder = chain[0]
+    table = tomllib.loads(chained_file(folder).read_text())
+    for entry in table["parameters"].values():
+        if "dist" in entry:
+            kept = {key: entry[key] for key in ("unit", "source")}
+            entry.clear()
+            entry |= {"fixed": 0.0, **kept}
+    table["parameters"]["thrust_common_n"]["fixed"] = 1.0
+    path = folder / "all_fixed.toml"
+    path.write_text(tomli_w.dumps(table))
+    with pytest.raises(InputError, match=r"from_fit: expected a free parameter .*first\.nc walked"):
+        read_priors(path)
+
+
+def shared_inertia() -> Spacecraft:
+    """Cassini, all of whose wheels have the inertia parameter of the first."""
+    craft = load_spacecraft("cassini")
+    parameter = craft.wheels[0].inertia_parameter
+    wheels = tuple(replace(wheel, inertia_parameter=parameter) for wheel in craft.wheels)
+    return replace(craft, wheels=wheels)
+
+
+def test_a_shared_inertia_is_that_of_the_first_wheel_in_the_fit() -> None:
+    """Prime wheels alone are in a fit: the last of the file may not be, and was asked for."""
+    craft = shared_inertia()
+    parameter = craft.wheels[0].inertia_parameter
+    values = np.random.default_rng(1).random((1, 5, 2))
+    for prime in (["rwa1", "rwa2"], ["rwa2", "rwa3"]):
+        posterior = xr.Dataset(
+            {"rwa_inertia_kg_m2": (("chain", "draw", "wheel"), values)}, {"wheel": prime}
+        )
+        assert inertia_wheels(posterior, craft) == {parameter: prime[0]}
+        found = walked_values(posterior, [parameter], craft)[parameter]
+        assert found == pytest.approx(values[0, :, 0])
+    assert inertia_wheels(xr.Dataset(), craft) == {}
 
 
 def test_misuse_is_refused(chain: Chained) -> None:

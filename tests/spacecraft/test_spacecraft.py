@@ -40,6 +40,15 @@ MISTAKES = {
         ('= ["P", "R"]\n\n', '= ["P", "R", "S"]\n\n'),
         ["branches", "'S'"],
     ),
+    "branch in another folder": (
+        ('= ["P", "R"]\n\n', '= ["P", "../R"]\n\n'),
+        ["branches[2]", "../R"],
+    ),
+    "branch with a line end": (
+        ('= ["P", "R"]\n\n', '= ["P", "R\\n"]\n\n'),
+        ["branches[2]", "a name of letters, digits"],
+    ),
+    "branch without a name": (('= ["P", "R"]\n\n', '= ["P", ""]\n\n'), ["branches[2]", "''"]),
     "branch is a number": (('= ["P", "R"]\n\n', "= [1]\n\n"), ["branches", "1"]),
     "a limit of nothing": (
         ("highest_wheel_rpm = 10000.0", "highest_wheel_rpm = 0.0"),

@@ -270,6 +270,90 @@ def test_every_effect_can_be_named_in_a_scenario(name: str, tmp_path: Path) -> N
     assert any(not np.array_equal(before[key], after[key], equal_nan=True) for key in before)
 
 
+SWING: dict[str, object] = {
+    "name": "flexible_mode",
+    "parameters": {
+        "frequency_hz": 0.05,
+        "damping": 0.01,
+        "inertia_fraction": 0.02,
+        "amplitude_rad_s": 2e-5,
+        "axis": 2.0,
+    },
+}
+
+
+def leak(name: str, start_s: float | None = None, *events: str) -> dict[str, object]:
+    """A leak of a thruster; without a start it is there from the beginning, in all events."""
+    start = {} if start_s is None else {"start_s": start_s}
+    only = {"events": list(events)} if events else {}
+    return {"name": f"thruster_leak:{name}", "parameters": {"leak_n": 0.004, **start}, **only}
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([leak("z3"), leak("z3")], r"effect\.thruster_leak:z3: expected .* once .*again in one"),
+        ([leak("z3", None, "two"), leak("z3")], "again in two"),
+        (
+            [leak("z3", 5.0), leak("z1")],
+            r"effect\.thruster_leak:z1\.parameters\.start_s: expected 5, as of thruster_leak:z3",
+        ),
+        ([leak("z3", 5.0), leak("z1", 7.0, "two")], "leaks in two begin at once, got 7"),
+    ],
+)
+def test_effects_that_would_take_each_others_place_are_refused(
+    effects: list[dict[str, object]], message: str, tmp_path: Path
+) -> None:
+    """One name twice in an event, and leaks of two starts: truth.json told what was not flown."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    with pytest.raises(InputError, match=message):
+        scenario_of({**document, "effect": effects})
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [leak("z3", 5.0, "one"), leak("z3", 7.0, "two")],
+        [leak("z3", 5.0), leak("z1", 5.0)],
+        [leak("z3"), leak("z1", 0.0)],
+        [SWING, SWING],
+    ],
+)
+def test_effects_that_act_as_they_are_told_are_taken(
+    effects: list[dict[str, object]], tmp_path: Path
+) -> None:
+    """In different events, leaks that begin together, or two appendages."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    assert len(scenario_of({**document, "effect": effects}).effects) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("accelerometer_scale_m_s", 0.0, "a number above 0"),
+        ("accelerometer_scale_m_s", -1e-3, "a number above 0"),
+        ("delta_v_resolution_m_s", -1.0, "0 or more"),
+    ],
+)
+def test_a_truth_that_no_instrument_has_is_refused(
+    name: str, value: float, expected: str, tmp_path: Path
+) -> None:
+    """Counts of a scale of zero are none, and no step is negative."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    document["truth"][name] = value
+    with pytest.raises(InputError, match=rf"truth\.{name}: expected {expected}"):
+        scenario_of(document)
+
+
+def test_a_platform_of_an_event_is_named_by_its_id(tmp_path: Path) -> None:
+    """As every other key of an event is."""
+    document = tomllib.loads(written(tmp_path).read_text("utf-8"))
+    document["spacecraft"]["wheels"] = [1, 2, 3]
+    document["event"][1]["truth"] = {"rwa4_articulation_rad": 0.5}
+    with pytest.raises(InputError, match=r"scenario: event\.two\.truth\.rwa4_articulation_rad"):
+        scenario_of(document)
+
+
 def test_channels_each_at_its_own_rate(tmp_path: Path) -> None:
     """Rates and wheels each 4 s with on-times each 10 s; and 4 s throughout."""
     document = tomllib.loads(written(tmp_path).read_text("utf-8"))

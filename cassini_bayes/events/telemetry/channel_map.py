@@ -60,13 +60,13 @@ class ChannelTable(Table):
 
     source: str | list[str] | None = None
     unit: str | None = None
-    scale: float | None = Field(None, allow_inf_nan=False)
-    offset: float | None = Field(None, allow_inf_nan=False)
+    scale: float | None = None
+    offset: float | None = None
     negate: bool = False
     order: Literal["xyzw", "wxyz"] | None = None
     direction: Literal["inertial_to_body", "body_to_inertial"] | None = None
     kind: Literal["cumulative", "per_interval"] | None = None
-    wraps_at: float | None = Field(None, gt=0.0, allow_inf_nan=False)
+    wraps_at: float | None = Field(None, gt=0.0)
     time_system: TimeSystem | None = None
     epoch: Any = None
 

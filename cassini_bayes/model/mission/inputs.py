@@ -71,7 +71,7 @@ def read_mission(
     """
     priors = read_priors(base / mission.priors)
     losses = loss_prior(priors)
-    name = mission.spacecraft.get("name", priors.spacecraft.name)
+    name = mission.spacecraft.name or priors.spacecraft.name
     if name != priors.spacecraft.name:
         raise InputError(
             f"{where}: spacecraft.name",
@@ -112,7 +112,7 @@ def read_mission(
             facts.append(fact)
     events, findings_of_all = together(reads, priors, policy)
     circumstances = circumstances_of(mission, facts, where)
-    model = build_mission(mission, priors, events, circumstances)
+    model = build_mission(mission, priors, events, circumstances, where)
     on_times = {event.id: _on_times(event) for event in events}
     return MissionInputs(priors, model, losses, on_times, digests, findings_of_all)
 

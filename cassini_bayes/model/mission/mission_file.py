@@ -26,6 +26,13 @@ def _within_calendar(epoch: datetime | date) -> datetime | date:
     return epoch
 
 
+def _share(loss: float) -> float:
+    """Refuse a loss that is no share of thrust: 2 for per cent is a likely slip."""
+    if not 0.0 < loss < 1.0:
+        raise ValueError("a share above 0 and below 1, such as 0.05 for 5 %")
+    return loss
+
+
 Epoch = Annotated[datetime | date, AfterValidator(_within_calendar)]
 What = Literal["recharge", "branch_swap", "separation", "burn", "articulation"]
 
@@ -113,7 +120,9 @@ class TrendTable(Table):
     """``[trend]``: what the trend reports, and with how many draws."""
 
     reference_epoch: Epoch
-    degraded: list[float] = Field(default_factory=lambda: [0.02, 0.05, 0.10])
+    degraded: list[Annotated[float, AfterValidator(_share)]] = Field(
+        default_factory=lambda: [0.02, 0.05, 0.10]
+    )
     alarm: float = Field(0.95, gt=0.5, lt=1.0)
     forecast: list[ForecastTable] = Field(default_factory=list)
     draws: int = Field(400, ge=100, le=100_000)  # more is a slip of some zeros
@@ -121,11 +130,17 @@ class TrendTable(Table):
     seed: int = Field(2012, ge=0)
 
 
+class SpacecraftTable(Table):
+    """``[spacecraft]``: for the reader; the priors file decides."""
+
+    name: str | None = Field(None, min_length=1)
+
+
 class MissionTable(EventsTable):
     """A mission file with every default filled in; paths are relative to it."""
 
     pulse_shape: str = "first_order"
-    spacecraft: dict[str, str] = Field(default_factory=dict)
+    spacecraft: SpacecraftTable = SpacecraftTable()
     dated: list[DatedTable] = Field(default_factory=list)
     drift: dict[str, ChangeTable] = Field(default_factory=dict)
     pressure: PressureTable | None = None

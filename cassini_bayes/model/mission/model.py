@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -290,13 +290,33 @@ class MissionModel:
         return BranchAt.of(branch, scale, picked(every, np.s_[:, order]))
 
 
+class _Told(NamedTuple):
+    """A change that the mission file tells: its key, whose it is, its name, unit added, table."""
+
+    where: str
+    of: str
+    name: str
+    per: str
+    table: ChangeTable
+
+    @property
+    def distribution(self) -> Distribution:
+        """What is believed of it."""
+        given = {"loc": self.table.loc, "scale": self.table.scale}
+        return Distribution("norm", given, where=self.where)
+
+
 def mission_name(name: str, block: str, branch: str, own: Sequence[str], several: bool) -> str:
     """A parameter's name in a mission: with its branch where branches have one each."""
     return f"{branch}.{name}" if several and (block in OF_A_BRANCH or name in own) else name
 
 
 def build_mission(
-    mission: MissionTable, priors: Priors, events: Sequence[Event], circumstances: Circumstances
+    mission: MissionTable,
+    priors: Priors,
+    events: Sequence[Event],
+    circumstances: Circumstances,
+    where: str,
 ) -> MissionModel:
     """Assemble the model of a mission.
 
@@ -305,6 +325,8 @@ def build_mission(
     events
         In the order of ``circumstances``; velocity changes computed on board are left out: they
         inform no thrust.
+    where
+        The mission file, for messages.
 
     Raises
     ------
@@ -319,7 +341,8 @@ def build_mission(
             "an earlier fit",
             "a mission goes on with its own trend.nc: leave from_fit out",
         )
-    _check_changes(mission, priors)
+    told = _told_changes(mission, where)
+    _check_changes(told, priors)
     names_of_branches = tuple(
         dict.fromkeys(name for table in priors.of_branches.values() for name in table)
     )
@@ -361,7 +384,7 @@ def build_mission(
         priors.require([USED_FACTOR], "a blowdown law")
         if mission.propellant is not None and mission.propellant.computed:
             prior_of[USED_FACTOR] = priors.parameters[USED_FACTOR]
-    space, units = _space(prior_of, mission, {c for part in parts for _, c, _ in part.changes})
+    space, units = _space(prior_of, told, {c for part in parts for _, c, _ in part.changes})
     return MissionModel(tuple(parts), branches, circumstances, space, units)
 
 
@@ -474,49 +497,51 @@ def _changes(
     return result + [(name, drift_name(name), used) for name in mission.drift]
 
 
-def _check_changes(mission: MissionTable, priors: Priors) -> None:
-    specs = known_parameters(priors.spacecraft)
-    tables: list[tuple[str, Mapping[str, ChangeTable], str]] = [
-        (f"dated[{i}].change", fact.change, "") for i, fact in enumerate(mission.dated, start=1)
+def _told_changes(mission: MissionTable, where: str) -> list[_Told]:
+    """Every change of the mission file, those of dated facts first."""
+    return [
+        _Told(f"{where}: dated[{i}].change.{name}", name, change_name(name, fact.epoch), "", table)
+        for i, fact in enumerate(mission.dated, start=1)
+        for name, table in fact.change.items()
+    ] + [
+        _Told(f"{where}: drift.{name}", name, drift_name(name), "/kg", table)
+        for name, table in mission.drift.items()
     ]
-    for where, changes, per in [*tables, ("drift", mission.drift, "/kg")]:
-        for name, change in changes.items():
-            allowed = [n for n, spec in specs.items() if spec.block in MAY_CHANGE]
-            if name not in allowed:
-                raise InputError(
-                    f"{where}.{name}",
-                    f"a parameter of {', '.join(MAY_CHANGE)}",
-                    f"the name {name!r}",
-                    "thrusts, tail-offs and wheels change by the laws of the mission model",
-                )
-            unit = specs[name].unit + per
-            if change.unit != unit:
-                raise InputError(
-                    f"{where}.{name}.unit", repr(unit), repr(change.unit), "convert the values"
-                )
+
+
+def _check_changes(told: Sequence[_Told], priors: Priors) -> None:
+    specs = known_parameters(priors.spacecraft)
+    allowed = [name for name, spec in specs.items() if spec.block in MAY_CHANGE]
+    for change in told:
+        if change.of not in allowed:
+            raise InputError(
+                change.where,
+                f"a parameter of {', '.join(MAY_CHANGE)}",
+                f"the name {change.of!r}",
+                "thrusts, tail-offs and wheels change by the laws of the mission model",
+            )
+        unit, given = specs[change.of].unit + change.per, change.table.unit
+        if given != unit:
+            raise InputError(f"{change.where}.unit", repr(unit), repr(given), "convert the values")
 
 
 def _space(
-    prior_of: Mapping[str, ParameterPrior], mission: MissionTable, changes: set[str]
+    prior_of: Mapping[str, ParameterPrior], told: Sequence[_Told], changes: set[str]
 ) -> tuple[ParameterSpace, dict[str, str]]:
     """All parameters of the mission in order, those of changes last."""
     free = {name: prior for name, prior in prior_of.items() if prior.distribution is not None}
     fixed = {name: prior.fixed for name, prior in prior_of.items() if prior.fixed is not None}
     units = {name: prior.spec.unit for name, prior in prior_of.items()}
-    tables: dict[str, ChangeTable] = {}
-    for fact in mission.dated:
-        tables |= {change_name(name, fact.epoch): table for name, table in fact.change.items()}
-    tables |= {drift_name(name): table for name, table in mission.drift.items()}
-    moving = {name: table for name, table in tables.items() if name in changes}
-    fixed |= {name: table.loc for name, table in moving.items() if table.scale == 0.0}
-    units |= {name: table.unit for name, table in moving.items()}
-    drawn = {name: table for name, table in moving.items() if table.scale > 0.0}
+    moving = {change.name: change for change in told if change.name in changes}
+    fixed |= {n: change.table.loc for n, change in moving.items() if change.table.scale == 0.0}
+    units |= {name: change.table.unit for name, change in moving.items()}
+    drawn = {name: change for name, change in moving.items() if change.table.scale > 0.0}
     space = ParameterSpace(
         names=(*free, *drawn),
         fixed=fixed,
         distributions=(
             *(prior.distribution for prior in free.values() if prior.distribution is not None),
-            *(Distribution("norm", {"loc": t.loc, "scale": t.scale}) for t in drawn.values()),
+            *(change.distribution for change in drawn.values()),
         ),
         blocks=(*(prior.spec.block for prior in free.values()), *("change" for _ in drawn)),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from typing import Any
@@ -15,6 +16,8 @@ from totals_cases import ROOT
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
+
+KNOWN_DRIFT = {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}
 
 
 def pressures(facts: list[EventFacts], **changes: Any) -> np.ndarray:
@@ -138,12 +141,60 @@ def test_forecasts_that_cannot_be_are_refused(
         ),
         ({"dated": [{"epoch": utc(2009, 3, 12), "what": "swop", "source": "x"}]}, "branch_swap"),
         ({"pulse_shape": "square"}, "pulse_shape: expected one of"),
+        ({"spacecraft": {"nam": "voyager"}}, r"spacecraft\.nam: .*did you mean 'name'"),
     ],
 )
 def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
     """A swap without a date or a branch, an unknown fact, an unknown pulse shape."""
     with pytest.raises(InputError, match=message):
         mission_table(**change)
+
+
+@pytest.mark.parametrize("degraded", [2, 0.0, 1.0, -3.0, np.nan, np.inf])
+def test_losses_are_shares_of_thrust(degraded: float) -> None:
+    """Per cent are a likely slip: the table had rows of losses beyond all thrust."""
+    trend = {"reference_epoch": utc(2005, 1, 1), "degraded": [0.02, degraded]}
+    with pytest.raises(InputError, match=r"trend\.degraded\[2\]: expected a (share|finite)"):
+        mission_table(trend=trend)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+@pytest.mark.parametrize(
+    ("key", "table"),
+    [
+        ("loc", lambda x: {"drift": {"cm_x_m": {**KNOWN_DRIFT, "loc": x}}}),
+        ("scale", lambda x: {"drift": {"cm_x_m": {**KNOWN_DRIFT, "scale": x}}}),
+        ("reference_kpa", lambda x: {"pressure": {"reference_kpa": x}}),
+        (
+            r"readings\[1\].kpa",
+            lambda x: {
+                "pressure": {
+                    "reference_kpa": 1758.0,
+                    "readings": [{"epoch": utc(2005, 1, 1), "kpa": x}],
+                }
+            },
+        ),
+        (
+            r"used\[1\].kg",
+            lambda x: {"propellant": {"used": [{"epoch": utc(2005, 1, 1), "kg": x}]}},
+        ),
+        (
+            r"forecast\[1\].pressure_kpa",
+            lambda x: {
+                "trend": {
+                    "reference_epoch": utc(2005, 1, 1),
+                    "forecast": [{"epoch": utc(2012, 1, 1), "branch": "B", "pressure_kpa": x}],
+                }
+            },
+        ),
+    ],
+)
+def test_numbers_of_a_mission_are_finite(
+    key: str, table: Callable[[float], dict[str, Any]], number: float
+) -> None:
+    """TOML has inf and nan; no mass, pressure or change is one."""
+    with pytest.raises(InputError, match=rf"{key}: expected a finite number"):
+        mission_table(**table(number))
 
 
 def test_readings_out_of_order_are_refused() -> None:
@@ -162,11 +213,23 @@ def test_only_what_may_change_does() -> None:
     for name, unit, message in (
         ("thrust_common_n", "N", "a parameter of centre of mass"),
         ("cm_y_m", "mm", "unit: expected 'm', got 'mm'"),
+        ("cm_y_m", "mm", r"^mission\.toml: dated\[1\]\.change\.cm_y_m\.unit: "),
     ):
         change = {name: {"loc": 0.0, "scale": 0.01, "unit": unit, "source": "x"}}
         dated = [{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}]
         with pytest.raises(InputError, match=message):
             mission_of(events, mission_table(dated=dated))
+
+
+def test_a_drift_that_cannot_be_names_the_file() -> None:
+    """Its key stands behind the mission file, whether the name or the unit is wrong."""
+    for name, message in (
+        ("thrust_common_n", r"^mission\.toml: drift\.thrust_common_n: expected a parameter of"),
+        ("cm_x_m", r"^mission\.toml: drift\.cm_x_m\.unit: expected 'm/kg'"),
+    ):
+        drift = {name: {**KNOWN_DRIFT, "unit": "m"}}
+        with pytest.raises(InputError, match=message):
+            mission_of(mixed_events(), mission_table(drift=drift))
 
 
 def test_one_parameter_is_changed_once_at_a_moment() -> None:
