@@ -89,7 +89,7 @@ def test_the_flight_run_file_is_good() -> None:
         (
             f"{LEAST}[sampler]\nindependence_share = nan",
             "sampler.independence_share",
-            "equal to 0",
+            "a finite number",
             "nan",
             "change",
         ),
