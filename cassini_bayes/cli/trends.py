@@ -60,6 +60,7 @@ def fit_of_mission(
     """``fit --mission``: the given events, of either branch, with the facts of a mission file."""
     from cassini_bayes.model.mission.mission_file import read_mission_file
     from cassini_bayes.pipeline.trend_run import execute_trend
+    from cassini_bayes.results.record import FIT_FILE
 
     mission = read_mission_file(mission_file)
     changes: dict[str, object] = {"events": [str(Path(event).absolute()) for event in events]}
@@ -80,7 +81,7 @@ def fit_of_mission(
         report=False,
         fit_record=True,
     )
-    _finish(outcome, "fit.nc", Plausibility(), output)
+    _finish(outcome, FIT_FILE, Plausibility(), output)
 
 
 def _finish(

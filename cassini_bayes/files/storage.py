@@ -77,8 +77,8 @@ def _is_being_written(path: Path) -> bool:
         os.kill(int(made_by[1]), 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except PermissionError:  # of another user
-        return True
+    except PermissionError:
+        pass  # of another user
     return True
 
 

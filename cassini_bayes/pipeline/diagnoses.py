@@ -36,8 +36,8 @@ from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
 from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import library_versions, read_provenance, recorded
-from cassini_bayes.pipeline.run import CHECKPOINT, PROVENANCE, open_folder
-from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, RESOLVED
+from cassini_bayes.pipeline.run import CHECKPOINT, open_folder
+from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, PROVENANCE, RESOLVED
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data

@@ -30,9 +30,15 @@ from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, read_model
 from cassini_bayes.pipeline.provenance import read_provenance
-from cassini_bayes.pipeline.run import PROVENANCE, Quiet, Reporter, execute, facts_of, write_results
-from cassini_bayes.pipeline.run_file import RunFile, SamplerTable, check_run, read_run_file
-from cassini_bayes.prediction.sources import RESOLVED, locate
+from cassini_bayes.pipeline.run import Quiet, Reporter, execute, facts_of, write_results
+from cassini_bayes.pipeline.run_file import (
+    OutputTable,
+    RunFile,
+    SamplerTable,
+    check_run,
+    read_run_file,
+)
+from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED, locate
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.report.plots.scalars import headlines, scalar_corner, trace_figure
 from cassini_bayes.report.shown import html_of, names_shown, value_with_unit, with_interval
@@ -55,7 +61,7 @@ if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
 
 INTERVAL: Final = "90 % highest density"
-KEPT: Final = (4_000, 4_000, True)
+KEPT: Final = (OutputTable().draws_per_ensemble, OutputTable().prior_draws, OutputTable().report)
 """Draws of an ensemble, draws of the prior, and whether there is a report, where none is said."""
 
 

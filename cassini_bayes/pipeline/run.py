@@ -28,7 +28,7 @@ from cassini_bayes.model.posterior import Model
 from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
-from cassini_bayes.prediction.sources import RESOLVED
+from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
@@ -37,7 +37,6 @@ from cassini_bayes.results.review import Review, is_converged
 from cassini_bayes.sampling.ensembles import ProgressReport
 
 CHECKPOINT: Final = "checkpoint"
-PROVENANCE: Final = "provenance.json"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,

@@ -27,8 +27,8 @@ from cassini_bayes.files.tables import finite, frame_csv, frame_records
 from cassini_bayes.model.mission.inputs import MissionInputs, read_mission
 from cassini_bayes.model.mission.mission_file import MissionTable
 from cassini_bayes.pipeline.provenance import library_versions
-from cassini_bayes.pipeline.run import CHECKPOINT, PROVENANCE, Reporter
-from cassini_bayes.prediction.sources import RESOLVED
+from cassini_bayes.pipeline.run import CHECKPOINT, Reporter
+from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission
@@ -264,4 +264,5 @@ def _record(
             for name in names
         },
     }
-    return {key: finite(value) for key, value in record.items()}  # Pareto k̂ of few draws is not
+    result: dict[str, Any] = finite(record)  # Pareto k̂ of few draws is not
+    return result

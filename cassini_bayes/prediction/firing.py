@@ -26,7 +26,6 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.prediction.beliefs import FIRING, Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.priors.parameter_space import ParameterSpace
-from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 Parameters = Mapping[str, Array | float]
 
@@ -150,7 +149,7 @@ class FiringDraws:
 
 
 def draw_firing(
-    p: Parameters, f: Features, rng: np.random.Generator, cycle_s: float = CONTROL_CYCLE_S
+    p: Parameters, f: Features, rng: np.random.Generator, cycle_s: float
 ) -> FiringDraws:
     """One draw per parameter point for a new event; ``cycle_s`` is the controller's period, s."""
     ring, couple = expected_minor(p, f)
@@ -166,7 +165,7 @@ def draw_firing(
     return FiringDraws(minors[0], minors[1], np.asarray(cycle_s * cycles, dtype=np.float64))
 
 
-def mean_firing(p: Parameters, f: Features, cycle_s: float = CONTROL_CYCLE_S) -> FiringDraws:
+def mean_firing(p: Parameters, f: Features, cycle_s: float) -> FiringDraws:
     """Expected values instead of draws: what is left when the limit cycle is switched off."""
     ring, couple = expected_minor(p, f)
     return FiringDraws(

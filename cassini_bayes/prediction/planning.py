@@ -41,7 +41,6 @@ from cassini_bayes.prediction.physics import (
 from cassini_bayes.prediction.predict import on_times_of
 from cassini_bayes.prediction.requests import BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import duration_s
-from cassini_bayes.spacecraft.description import PLANNED_WHEEL_RPM
 
 LEVEL: Final = "thrust_level_"
 
@@ -125,7 +124,7 @@ def quantity_draws(learned: Learned, name: str) -> Array:
     return known[name]
 
 
-def end_rates(levels: int, planned_rpm: tuple[float, float] = PLANNED_WHEEL_RPM) -> Array:
+def end_rates(levels: int, planned_rpm: tuple[float, float]) -> Array:
     """End rates of one wheel: ``levels`` steps through the planned sizes, both signs.
 
     Raises

@@ -39,6 +39,8 @@ from cassini_bayes.results.record import Fit
 FIT_DRAWS = 2_000
 RESOLVED: Final = "resolved.toml"
 """What a run or a diagnosis was resolved to, in its folder."""
+PROVENANCE: Final = "provenance.json"
+"""What a run, a diagnosis or a trend was made of and by, in its folder."""
 DIAGNOSED: Final = "diagnosis.json"
 """In the folder above the fit of a diagnosis's extended model."""
 EXTENDED: Final = "extended"
@@ -285,7 +287,7 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
 
 def _recorded(folder: Path) -> tuple[dict[str, str], tuple[str, ...]]:
     """Digests by name, and the folder that names are relative to, if a record says so."""
-    path = folder / "provenance.json"
+    path = folder / PROVENANCE
     if not path.exists():
         return {}, ()
     record = read_json(path, "the record of a run")

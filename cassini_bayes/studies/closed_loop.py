@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any, Final
 
 import numpy as np
@@ -53,7 +54,7 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
     thrusts = thrusts_at(learned, epoch, rng, still=False)
     rows = []
     for draw in range(min(seeds, learned.size)):
-        document = _document(learned, request, draw, thrusts[draw])
+        document = _document(learned, request, draw, epoch, thrusts[draw])
         file = scenario_of(document, where="predict --simulate", craft=learned.model.spacecraft)
         truth = draw_truth(file, seed + draw)
         event = file.scenario.event[0]
@@ -71,7 +72,9 @@ def simulate_request(learned: Learned, request: BiasRequest, seeds: int, seed: i
     return ClosedLoop(np.array(on_time), np.array(pulses), np.array(lasts))
 
 
-def _document(learned: Learned, request: BiasRequest, draw: int, thrust_n: Array) -> dict[str, Any]:
+def _document(
+    learned: Learned, request: BiasRequest, draw: int, epoch: datetime, thrust_n: Array
+) -> dict[str, Any]:
     """A scenario of one bias with the physics of one draw, and its thrusts (K,) then."""
     model, physics = learned.model, learned.physics
     wheels = tuple(w.number for w in model.spacecraft.wheels if w.number in request.wheels)
@@ -94,7 +97,6 @@ def _document(learned: Learned, request: BiasRequest, draw: int, thrust_n: Array
         name: float(thrust_n[k] - thrust_n.mean()) for k, name in enumerate(model.thrusters)
     }
     assert learned.mass is not None
-    epoch = request.epoch or learned.last_epoch
     truth["mass_kg"] = float(learned.mass.at(epoch)[draw])
     return {
         "spacecraft": {

@@ -180,7 +180,7 @@ def test_draws_have_the_stated_means() -> None:
     n = 40_000
     f = Features(**{k: np.full(n, v[0]) for k, v in vars(plain_features()).items()})
     p = dict(zip(NAMES, (0.1, 4e-4, 0.03, 0.12, 0.4, 0.7, 0.5), strict=True))
-    drawn = draw_firing(p, f, np.random.default_rng(3))
+    drawn = draw_firing(p, f, np.random.default_rng(3), CONTROL_CYCLE_S)
     ring, couple = expected_minor(p, f)
     for values, mean in (
         (drawn.minor_ring_s, ring[0] + 0.3),
@@ -234,7 +234,7 @@ def test_the_firing_logic_is_calibrated_on_its_own_events() -> None:
         truth = space.to_parameters(z)
         seen = []
         for f in base:
-            drawn = draw_firing(truth, f, rng)
+            drawn = draw_firing(truth, f, rng, CONTROL_CYCLE_S)
             seen.append(
                 Observation(
                     max(float(drawn.minor_ring_s[0]), 1e-3),

@@ -53,7 +53,7 @@ from cassini_bayes.report.plots.prediction import (
     requirement_figure,
     totals_figure,
 )
-from cassini_bayes.spacecraft.description import Spacecraft
+from cassini_bayes.spacecraft.description import PLANNED_WHEEL_RPM, Spacecraft
 from cassini_bayes.studies.closed_loop import simulate_request
 from cassini_bayes.studies.prediction import page_body
 from cassini_bayes.studies.prediction.findings import (
@@ -267,7 +267,9 @@ def test_plans_keep_to_the_wheels_limits() -> None:
     for c in found.candidates:
         assert all(300.0 <= abs(rate) <= 2000.0 for rate in c.end_rpm)
         assert c.sd_after == pytest.approx(found.sd_before * np.exp(-c.information_nats))
-    np.testing.assert_allclose(end_rates(3), [-2000, -1150, -300, 300, 1150, 2000])
+    np.testing.assert_allclose(
+        end_rates(3, PLANNED_WHEEL_RPM), [-2000, -1150, -300, 300, 1150, 2000]
+    )
 
 
 def test_the_front_is_not_beaten() -> None:
@@ -290,7 +292,7 @@ def test_budgets_and_bad_plans() -> None:
     with pytest.raises(InputError, match="within ±2000"):
         plan(learned(), "cm_x_m", (1,), (2500.0,))
     with pytest.raises(InputError, match="levels"):
-        end_rates(0)
+        end_rates(0, PLANNED_WHEEL_RPM)
 
 
 def test_a_plan_prefers_the_thrusters_it_asks_about() -> None:
