@@ -12,7 +12,8 @@ import json
 import re
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import wraps
 from importlib.machinery import SourceFileLoader
@@ -88,10 +89,11 @@ def load_module(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # a dataclass looks up its annotations there
     try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        with _faults_told(path, "a Python file that can be run"):
+            spec.loader.exec_module(module)
+    except InputError:
         del sys.modules[name]
-        raise _fault(path, "a Python file that can be run", error) from None
+        raise
     return module
 
 
@@ -178,12 +180,8 @@ def guarded(path: Path, name: str, hook: Any, reported: tuple[str, ...] = ()) ->
 
     @wraps(hook)
     def call(*given: Any) -> Any:
-        try:
+        with _faults_told(path, f"{wanted} that returns", but=InputError):
             result = hook(*given)
-        except InputError:
-            raise
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
-            raise _fault(path, f"{wanted} that returns", error) from None
         where = f"{_hook_line(path, hook)}: {name}"
         result = _checked(path, where, name, result, given)
         if _has_other_sizes(name, result, reported):
@@ -199,6 +197,19 @@ def _has_other_sizes(name: str, result: Any, reported: tuple[str, ...]) -> bool:
     if name == "report":
         return set(result) != set(reported)
     return name == "drawn" and bool(reported) and not set(result) <= set(reported)
+
+
+@contextmanager
+def _faults_told(
+    path: Path, expected: str, but: type[Exception] | tuple[()] = ()
+) -> Iterator[None]:
+    """One line for whatever a user's file raises meanwhile; ``but`` goes through as it is."""
+    try:
+        yield
+    except but:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
+        raise _fault(path, expected, error) from None
 
 
 def _fault(path: Path, expected: str, error: BaseException) -> InputError:
@@ -353,19 +364,16 @@ def _checked_search(path: Path, where: str, result: Any) -> Any:
 def _settled(path: Path, where: str, result: Any, name: str) -> Any:
     """One attribute of what a search settled."""
     try:
-        return getattr(result, name)
+        with _faults_told(path, f"{name} of what a search settled", but=AttributeError):
+            return getattr(result, name)
     except AttributeError:
         fix = "give it one, or inherit from SearchResult"
         raise InputError(where, f"a result with {name}", repr(result)[:60], fix) from None
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
-        raise _fault(path, f"{name} of what a search settled", error) from None
 
 
 def _called(path: Path, wanted: str, function: Any, samples: Samples) -> Any:
-    try:
+    with _faults_told(path, f"{wanted} that returns"):
         return function(samples)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
-        raise _fault(path, f"{wanted} that returns", error) from None
 
 
 def _checked_column(
@@ -384,10 +392,8 @@ def _checked_column(
         )
 
     def values(context: RowContext) -> Array:
-        try:
+        with _faults_told(path, f"values of column {column.name}"):
             array = np.asarray(column.values(context), dtype=np.float64)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's file may do anything
-            raise _fault(path, f"values of column {column.name}", error) from None
         _check_shape(f"{where}: {column.name}", array, (len(context.time_s),))
         if not np.isfinite(array).all():
             raise InputError(f"{where}: {column.name}", "finite values", "NaN", "mend the column")
