@@ -306,6 +306,21 @@ def calibrate_prediction_command(
         prediction_results(study, str(events), str(priors))
 
 
+@app.command("papers")
+def calibrate_papers_command(
+    events: Totals = FLIGHT,
+    priors: PriorsFile = TOTALS_PRIORS,
+    seed: Seed = 20_100_329,
+    out: Out = OUT,
+    quiet: Quiet = False,
+) -> None:
+    """Thrust against pressure, Table 1 of paper 003, inertia by date, other beliefs."""
+    from cassini_bayes.studies.papers_over_years import study_papers
+
+    with _at_once("papers-over-years", out, quiet, seed) as study:
+        study_papers(study, events, priors)
+
+
 @app.command("simulation")
 def calibrate_simulation_command(
     trials: Trials = None,

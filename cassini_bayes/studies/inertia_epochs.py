@@ -67,7 +67,7 @@ def moment_ratios() -> tuple[Array, tuple[str, ...]]:
     return np.array(ratios), dates
 
 
-def estimator_error(ratios: Array) -> EstimatorError:
+def estimator_error(ratios: Array, claimed_sd: float = CLAIMED_SD) -> EstimatorError:
     """Weigh the estimator's error; bias of every axis and wheel scale are integrated out.
 
     ratio_da = w − b_a + ε_da, all normal: w the wheel scale, b_a the bias of an axis's predictions.
@@ -92,7 +92,7 @@ def estimator_error(ratios: Array) -> EstimatorError:
     mean, variance = np.array(wheel).T
     centre = float(weights @ mean)
     within = ratios - ratios.mean(0)
-    statistic = float((within**2).sum() / (CLAIMED_SD**2 + PREDICTION_SD**2))
+    statistic = float((within**2).sum() / (claimed_sd**2 + PREDICTION_SD**2))
     return EstimatorError(
         SDS,
         weights,

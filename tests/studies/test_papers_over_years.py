@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.special import logsumexp
 from scipy.stats import norm
+from study_cases import study_in
+from totals_cases import FLIGHT, ROOT
 
 from cassini_bayes.studies.a_branch_table import (
     COMMON_N,
@@ -21,6 +26,7 @@ from cassini_bayes.studies.a_branch_table import (
     without_navigation,
 )
 from cassini_bayes.studies.inertia_epochs import estimator_error, moment_ratios
+from cassini_bayes.studies.papers_over_years import PAIR, study_papers
 from cassini_bayes.studies.pressure_laws import recharge_prediction
 
 SIDES_X, SIDES_Y = np.array([1, -1, -1, 1, 0, 0]), np.array([1, 1, -1, -1, 0, 0])
@@ -106,3 +112,22 @@ def test_neither_pressure_law_is_decided_by_the_recharge() -> None:
     assert laws[1].mean == pytest.approx(1.49, abs=0.02)
     assert 0.0 < laws[1].log_density - laws[0].log_density < 1.0
     assert laws[0].intercept == (0.0, 0.0)
+
+
+def test_the_page_says_what_the_tables_beside_it_have(tmp_path: Path) -> None:
+    """Cells of the page against the CSV files, and claims read as one and as two deviations."""
+    study_papers(study_in(tmp_path), FLIGHT, ROOT / "priors" / "cassini_b_branch_2010.toml")
+    text = (tmp_path / "page.md").read_text()
+    causes = pd.read_csv(tmp_path / "page-table-1.csv")
+    rows = causes[causes.with_navigation & (causes.name == PAIR)].sort_values("scatter")
+    both = " | ".join(f"{value:+.1f}" for value in rows.log_bayes_factor)
+    assert f"| `{PAIR}` | {both} |" in text
+    beliefs = pd.read_csv(tmp_path / "page-beliefs.csv").set_index("priors")
+    today, tested = beliefs.loc["today"], beliefs.loc["tested tail-off"]
+    assert f"| today | {today.log_evidence:.2f} |" in text
+    assert tested.thrust_mean_n_sd < 0.6 * today.thrust_mean_n_sd
+    assert (beliefs.pareto_k < 0.7).all()
+    inertia = pd.read_csv(tmp_path / "page-inertia.csv")
+    assert f"| 2004-10-05 | {100 * inertia.xx[2]:+.1f} % |" in text
+    ratios, _ = moment_ratios()
+    assert estimator_error(ratios, 0.005).p_claimed < 1e-9 < estimator_error(ratios).p_claimed
