@@ -142,7 +142,7 @@ How long does `cassini-bayes diagnose` take over the whole catalogue? From event
 held-out gain and figures are included, compiled code comes from the cache. {os.cpu_count()}
 cores; version {__version__}. Each was run {_often(repeats)}.
 Goals are those for all that may be hidden: 15 s for three events, 60 s for six.
-*Load* is that of the machine before the start. What else ran then took part of both cores.
+*Load* is that of the machine before the start, which what ended a minute ago still counts in.
 
 | events | hidden | first cause (its probability) | wall (s) | processor (s) | load | goal (s) |
 | --- | --- | --- | --- | --- | --- | --- |

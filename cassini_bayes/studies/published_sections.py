@@ -17,7 +17,7 @@ from cassini_bayes.report.plots.criticism import width_figure
 WIDTHS: Final = (0.5, 1.0, 2.0)
 TITLES: Final[Mapping[str, str]] = {
     "a": "Eight flight wheel biases (paper 001, Tables 3.a-3.h)",
-    "b": "Five flight biases of 2004 (paper 000, Table 2)",
+    "b": "Five flight biases of 2005 (paper 000, Table 2)",
     "c": "Test-bed case (paper 000)",
     "d": "A-branch thrusts (paper 003, Table 1)",
     "e": "On-times of the eight flight biases, predicted by the ideal calculation of paper 001",
