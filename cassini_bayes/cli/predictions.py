@@ -29,6 +29,10 @@ class Learning:
     priors: Annotated[
         Path | None, typer.Option("--priors", help="Priors file of the fit, if it has moved.")
     ] = None
+    beliefs: Annotated[
+        Path | None,
+        typer.Option("--beliefs", help="TOML of priors of prediction that are not the package's."),
+    ] = None
     effects: Effects = None
     accept: Accept = None
     seed: Seed = DEFAULT_SEED
@@ -37,7 +41,8 @@ class Learning:
     def arguments(self) -> dict[str, Any]:
         """As the verbs of the package take it."""
         named = {"accept": self.accept or [], "effect_files": self.effects or ()}
-        return {"events": self.events, "priors": self.priors, "seed": self.seed, **named}
+        files = {"events": self.events, "priors": self.priors, "beliefs": self.beliefs}
+        return {**files, "seed": self.seed, **named}
 
 
 def predict_command(

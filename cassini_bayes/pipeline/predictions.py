@@ -296,6 +296,7 @@ def predict(
     quaternion: str | None = None,
     events: PathLike | None = None,
     priors: PathLike | None = None,
+    beliefs: PathLike | None = None,
     effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = DEFAULT_SEED,
@@ -318,6 +319,9 @@ def predict(
         body, for inertial ΔV too.
     events, priors
         Where the fit's files have moved.
+    beliefs
+        A TOML file of priors of prediction, of those that are others than the package's
+        (``prediction/prediction.toml``).
     effect_files
         Files of effects that the fit was given.
     accept
@@ -335,7 +339,7 @@ def predict(
     began = time.perf_counter()
     sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)
-    learned = learn_from_fit(draws, sources, seed)
+    learned = learn_from_fit(draws, sources, seed, None if beliefs is None else Path(beliefs))
     result = tuple(
         predict_one(learned, request, stream(seed, i)) for i, request in enumerate(requests)
     )
@@ -357,6 +361,7 @@ def plan(
     top: int | None = None,
     events: PathLike | None = None,
     priors: PathLike | None = None,
+    beliefs: PathLike | None = None,
     effect_files: Sequence[PathLike] = (),
     accept: Sequence[str] = (),
     seed: int = DEFAULT_SEED,
@@ -368,7 +373,7 @@ def plan(
 
     Parameters
     ----------
-    fit, events, priors, effect_files, accept, seed
+    fit, events, priors, beliefs, effect_files, accept, seed
         As for :func:`predict`.
     quantity
         ``thrust_level_z1_n``, ``tau_fall_s``, ``cm_x_m`` … (:func:`quantities` lists them).
@@ -403,7 +408,7 @@ def plan(
     check_seed(seed)
     sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
-    learned = learn_from_fit(draws, sources, seed)
+    learned = learn_from_fit(draws, sources, seed, None if beliefs is None else Path(beliefs))
     warnings = doubts(learned, sources.within, stored)
     converged = stop_rule_held(stored)
     if quantity is not None:

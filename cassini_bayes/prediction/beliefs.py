@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import finite_number, nearest
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.spacecraft.description import CONTROL_CYCLE_S
 
 FIRING: Final[Mapping[str, str]] = {
     "minor_constant_s": "s",
@@ -32,6 +33,13 @@ NORMAL_ONLY: Final[Mapping[str, str]] = {
 }
 """Units of the parameters that are integrated out."""
 UNITS: Final[Mapping[str, str]] = {**FIRING, **NORMAL_ONLY}
+OF_CYCLES: Final[Mapping[str, int]] = {
+    "minor_constant_s": 1,
+    "minor_per_duration": 1,
+    "minor_quantum_s": 1,
+    "pulses_per_second": -1,
+}
+"""What the package believes of whole pulses: by which power of the control cycle it goes."""
 _WORDS: Final = ("dist", "low", "high", "unit", "source")
 
 
@@ -47,23 +55,39 @@ class Beliefs:
         return distribution.mean(), distribution.sd()
 
 
-def read_beliefs(path: Path | None = None) -> Beliefs:
-    """Read the priors of prediction; without a path, those that come with the package.
+def read_beliefs(path: Path | None = None, cycle_s: float = CONTROL_CYCLE_S) -> Beliefs:
+    """Read the priors of prediction: those of the package, but for the tables that a file has.
+
+    Parameters
+    ----------
+    path
+        Tables that take the place of the package's.
+    cycle_s
+        The spacecraft's control cycle. What the package believes of whole pulses goes with it
+        (:data:`OF_CYCLES`); what a file has is taken as it is.
 
     Raises
     ------
     InputError
         Names file, key, what was expected and the fix.
     """
-    path = path or Path(__file__).with_name("prediction.toml")
-    tables = read_toml(path, "the priors of prediction")
-    for name in tables:
+    shipped = Path(__file__).with_name("prediction.toml")
+    result = {
+        name: _distribution(f"{shipped}: {name}", name, _at_cycle(name, table, cycle_s))
+        for name, table in read_toml(shipped, "the priors of prediction").items()
+    }
+    given = {} if path is None else read_toml(path, "the priors of prediction")
+    for name, table in given.items():
         if name not in UNITS:
             raise InputError(str(path), "a parameter of prediction", name, nearest(name, UNITS))
-    missing = [name for name in UNITS if name not in tables]
-    if missing:
-        raise InputError(str(path), "a table for every parameter", f"no {missing[0]}", "add it")
-    return Beliefs({name: _distribution(f"{path}: {name}", name, tables[name]) for name in UNITS})
+        result[name] = _distribution(f"{path}: {name}", name, table)
+    return Beliefs(result)
+
+
+def _at_cycle(name: str, table: Mapping[str, Any], cycle_s: float) -> dict[str, Any]:
+    """A table of the package with its location and scale at another control cycle."""
+    factor = (cycle_s / CONTROL_CYCLE_S) ** OF_CYCLES.get(name, 0)
+    return {k: factor * v if k in ("loc", "scale") else v for k, v in table.items()}
 
 
 def _distribution(where: str, name: str, table: object) -> Distribution:

@@ -15,12 +15,13 @@ import numpy as np
 
 from cassini_bayes.balance.physics import effective_on_times
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.prediction.beliefs import Beliefs
 from cassini_bayes.prediction.demand import PairLayout
 from cassini_bayes.prediction.physics import PhysicsDraws
-from cassini_bayes.prediction.regressions import Regression, regress
+from cassini_bayes.prediction.regressions import Regression, conditional, regress
 from cassini_bayes.prediction.wheel_profile import SETTLING_TIMES
 from cassini_bayes.spacecraft import thruster_directions
 from cassini_bayes.spacecraft.units import YEAR_S
@@ -33,6 +34,8 @@ TREND_SD_PER_YEAR: Final = 0.05  # of the value itself: what is printed falls by
 HYDRAZINE_STEP_G: Final = 1.0
 HYDRAZINE_RELATIVE: Final = 0.03
 DURATION_SD_S: Final = 1.5
+MOST_TURNS: Final = 5  # in which the slowest wheels of all events are found
+LEAST_POSSIBLE: Final = 0.5  # share of draws in which loop time and ramps are positive
 
 
 @dataclass(frozen=True)
@@ -130,18 +133,55 @@ def manager_regression(
     rng: np.random.Generator,
     size: int,
 ) -> Regression:
-    """Ramps of the wheels and loop time from the durations: D = p_j |Δ_j| + (n − 1) τ."""
-    design = np.zeros((len(events), len(wheels) + 1))
-    for row, event in enumerate(events):
-        change = np.abs(event.rwa_end_rpm - event.rwa_start_rpm)
-        slowest = int(np.argmax(change))
-        design[row, wheels.index(event.wheels[slowest])] = change[slowest]
-    design[:, -1] = SETTLING_TIMES - 1.0
+    """Ramps of the wheels and loop time from the durations: D = p_j |Δ_j| + (n − 1) τ.
+
+    j is the wheel whose ramp lasts longest: by the prior's ramps, then by those that come out.
+    Ramps and loop time are positive.
+
+    Raises
+    ------
+    InputError
+        Durations that hardly any positive loop time and ramps give.
+    """
     durations = np.array([event.duration_s for event in events])
     variance = np.full(len(events), DURATION_SD_S**2)
     ramps = len(wheels) * [beliefs.moments("wheel_ramp_s_per_rpm")]
     prior = [*ramps, beliefs.moments("wheel_loop_s")]
-    return regress(design, durations, variance, prior, rng, size=size)
+    mean, sd = np.array(prior).T.copy()
+    found = mean
+    for _ in range(MOST_TURNS):
+        design = _durations_design(events, wheels, found[:-1])
+        found, _ = conditional(design, durations, variance, mean, sd, 1.0)
+    result = regress(design, durations, variance, prior, rng, size=size)
+    possible = np.flatnonzero((result.coefficients > 0.0).all(1))
+    if len(possible) < LEAST_POSSIBLE * size:
+        loop = result.coefficients[:, -1]
+        raise InputError(
+            "duration_s of the events",
+            "durations of ramps that settle, D = p |Δ| + 5 τ with τ > 0 (priors of prediction: "
+            f"wheel_ramp_s_per_rpm {ramps[0][0]:.3g} ± {ramps[0][1]:.2g} s/rpm, wheel_loop_s)",
+            f"a loop time τ of {loop.mean():.3g} ± {loop.std():.2g} s",
+            "a duration ends when the last wheel has settled; of wheels with another torque, give "
+            "their ramp with --beliefs",
+        )
+    if len(possible) == size:
+        return result
+    chosen = rng.choice(possible, size)
+    return Regression(result.coefficients[chosen], result.scale_square[chosen])
+
+
+def _durations_design(
+    events: tuple[TotalsEvent, ...], wheels: tuple[int, ...], ramps: Array
+) -> Array:
+    """What ramps (W,) and loop time add to every duration (E, W + 1), by the slowest wheels."""
+    design = np.zeros((len(events), len(wheels) + 1))
+    for row, event in enumerate(events):
+        change = np.abs(event.rwa_end_rpm - event.rwa_start_rpm)
+        places = [wheels.index(number) for number in event.wheels]
+        slowest = int(np.argmax(ramps[places] * change))
+        design[row, places[slowest]] = change[slowest]
+    design[:, -1] = SETTLING_TIMES - 1.0
+    return design
 
 
 def trend_of(
@@ -151,13 +191,14 @@ def trend_of(
     rng: np.random.Generator,
     size: int,
 ) -> Trend | None:
-    """Centre and slope of what the ground software printed; None where a value is missing."""
-    given = [value for value in values if value is not None]
-    if len(given) < len(values) or not given:
+    """Centre and slope of what the ground software printed; None where no event has a value."""
+    given = [(e, value) for e, value in zip(epochs, values, strict=True) if value is not None]
+    if not given:
         return None
-    reference = min(epochs) + sum((e - min(epochs) for e in epochs), timedelta()) / len(epochs)
-    years = np.array([(e - reference).total_seconds() / YEAR_S for e in epochs])
-    target = np.array(given)
+    first = min(e for e, _ in given)
+    reference = first + sum((e - first for e, _ in given), timedelta()) / len(given)
+    years = np.array([(e - reference).total_seconds() / YEAR_S for e, _ in given])
+    target = np.array([value for _, value in given])
     level = float(target.mean())
     design = np.stack([np.ones_like(years), years], axis=-1)
     prior = [(level, 0.02 * level), (0.0, TREND_SD_PER_YEAR * level)]

@@ -178,6 +178,14 @@ def _from_values(
         spins = dict(zip(wheels, values["rwa_inertia_kg_m2"].T, strict=True))
         named = [wheel for wheel in model.spacecraft.wheels if wheel.name in spins]
         values = {**{wheel.inertia_parameter: spins[wheel.name] for wheel in named}, **values}
+    for name in model.space.fixed:
+        if name in values:
+            raise InputError(
+                str(path),
+                f"priors in which {name} is free, as in the fit",
+                "a fixed value",
+                "name the priors file of the fit (--priors)",
+            )
     for name in model.space.names:
         if name not in values:
             raise InputError(

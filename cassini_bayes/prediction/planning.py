@@ -43,6 +43,7 @@ from cassini_bayes.prediction.requests import BiasRequest, check_rates
 from cassini_bayes.prediction.wheel_profile import duration_s
 
 LEVEL: Final = "thrust_level_"
+LEAST_SPREAD: Final = 1e-12  # of a quantity, over its mean: less is rounding
 
 
 @dataclass(frozen=True)
@@ -158,9 +159,17 @@ def plan(
     Raises
     ------
     InputError
-        Unknown quantity, a start beyond the limits, or a budget that no candidate keeps.
+        Unknown quantity or one that is fixed, a start beyond the limits, or a budget that no
+        candidate keeps.
     """
     draws = quantity_draws(learned, quantity)
+    if draws.std() <= LEAST_SPREAD * abs(draws.mean()):
+        raise InputError(
+            "--quantity",
+            "a quantity that the fit leaves open",
+            f"{quantity} = {draws.mean():.4g} in every draw",
+            "ask for another one: of what is fixed no bias teaches anything",
+        )
     start = np.asarray(start_rpm, dtype=np.float64)
     planned = learned.model.spacecraft.planned_wheel_rpm
     check_rates("--from", start, planned[1])

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -31,7 +31,14 @@ class BiasRequest:
     """One planned wheel bias, without anything that is known only after the flight.
 
     ``wheels`` are wheel numbers, ``start_rpm`` and ``end_rpm`` are aligned with them. ``epoch``
-    None means: at the last event of the fit. ``quaternion`` is inertial to body, scalar last.
+    None means: at the last event of the fit; one without a zone is UTC. ``quaternion`` is inertial
+    to body, scalar last.
+
+    Raises
+    ------
+    InputError
+        No wheel, one twice, rates that are not finite or not one per wheel, a quaternion of another
+        norm than one.
     """
 
     id: str
@@ -47,6 +54,14 @@ class BiasRequest:
             array = np.array(getattr(self, name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+            _check_one_each(f"bias {self.id}: {name}", array, self.wheels)
+        for number in self.wheels:
+            _check_once(f"bias {self.id}", f"wheel {number}", self.wheels.count(number) > 1)
+        if self.epoch is not None and self.epoch.tzinfo is None:
+            object.__setattr__(self, "epoch", self.epoch.replace(tzinfo=UTC))
+        if self.quaternion is not None:
+            unit = _unit_quaternion(f"bias {self.id}: quaternion", self.quaternion)
+            object.__setattr__(self, "quaternion", unit)
 
 
 def request_of(event: TotalsEvent) -> BiasRequest:
@@ -144,16 +159,34 @@ def parse_quaternion(text: str, where: str = "--quaternion") -> tuple[float, flo
         values = [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
         values = []
+    return _unit_quaternion(where, values, text)
+
+
+def _unit_quaternion(
+    where: str, values: Sequence[float], text: str | None = None
+) -> tuple[float, float, float, float]:
+    """Four numbers of unit norm, made exactly so; ``text`` is what was written."""
     norm = math.sqrt(sum(v * v for v in values))
     if len(values) != 4 or not abs(norm - 1.0) < 1e-3:
         raise InputError(
             where,
             "four numbers q1 q2 q3 q4 of unit norm, scalar last",
-            repr(text),
+            repr(values if text is None else text),
             'write e.g. "0 0 0 1"',
         )
     a, b, c, d = (value / norm for value in values)
     return a, b, c, d
+
+
+def _check_one_each(where: str, rates_rpm: Array, wheels: Sequence[int]) -> None:
+    """Refuse rates that are not one finite number for every wheel."""
+    if not wheels or rates_rpm.shape != (len(wheels),) or not np.isfinite(rates_rpm).all():
+        raise InputError(
+            where,
+            f"one finite rate in rev/min for each of {len(wheels)} wheels, of at least one",
+            np.array2string(rates_rpm, threshold=6),
+            "give as many rates as wheels",
+        )
 
 
 def read_requests(path: Path, spacecraft: Spacecraft) -> tuple[BiasRequest, ...]:
@@ -258,10 +291,11 @@ def check_request(
     limit = spacecraft.planned_wheel_rpm[1]
     for number, start, end in zip(request.wheels, request.start_rpm, request.end_rpm, strict=True):
         if number not in prime:
+            name = names.get(number, f"wheel {number}")
             raise InputError(
-                f"{where}: {names[number]}",
+                f"{where}: {name}",
                 f"prime wheels {', '.join(names[n] for n in prime)}",
-                f"{names[number]}, which is not prime in the fit",
+                f"{name}, which is not prime in the fit",
                 "drop the wheel, or predict with a fit in which it is prime",
             )
         for rate in (start, end):

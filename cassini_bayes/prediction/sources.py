@@ -104,7 +104,7 @@ def read_sources(
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
-        [event_path(events)]
+        [_moved(fit, event_path(events), read)]
         if events
         else [str(locate(fit, n, "--events", read)) for n in _names(resolved, "events", record)]
     )
@@ -225,11 +225,16 @@ def learn_from_fit(
     fit: Path | Fit,
     sources: Sources,
     seed: int,
+    beliefs: Path | None = None,
 ) -> Learned:
-    """Condition prediction on a fit and the events behind it."""
+    """Condition prediction on a fit and the events behind it.
+
+    ``beliefs`` is a file of priors of prediction, in place of those of the package.
+    """
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0)))
     physics = physics_of_fit(sources.model, fit, rng, FIT_DRAWS)
-    return learn(sources.model, sources.events, physics, read_beliefs(), rng, FIT_DRAWS)
+    believed = read_beliefs(beliefs, sources.model.spacecraft.control_cycle_s)
+    return learn(sources.model, sources.events, physics, believed, rng, FIT_DRAWS)
 
 
 def _resolved(folder: Path) -> dict[str, Any]:
@@ -283,6 +288,24 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         f"{changed[0]}, which has changed" if changed else "no such file",
         f"name it with {option}, or run the fit again",
     )
+
+
+def _moved(fit: Path, reference: str, priors: Priors) -> str:
+    """Events that are named by hand: where the fit's record has digests, theirs is among them."""
+    digests, _ = _recorded(record_folder(fit))
+    path = Path(reference) if is_event_folder(Path(reference)) else None
+    file = Path(split_reference(reference)[0])
+    if not digests or (path is None and not exists(file)):
+        return reference  # nothing to compare, or the reader says what is missing
+    found = digest(file) if path is None else read_event(path, priors.spacecraft).digest
+    if found not in digests.values():
+        raise InputError(
+            f"--events {reference}",
+            "the events as they were when the fit was made",
+            "other content",
+            "name what the fit was made of, or run it again",
+        )
+    return reference
 
 
 def _recorded(folder: Path) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -21,7 +21,7 @@ from cassini_bayes.prediction.minimise import (
     cheapest_dictionary,
     cheapest_text,
 )
-from cassini_bayes.prediction.planning import expected_on_times, expected_thrusts, typical
+from cassini_bayes.prediction.planning import expected_on_times, expected_thrusts, plan, typical
 from cassini_bayes.prediction.requests import BiasRequest
 from cassini_bayes.spacecraft.description import PLANNED_WHEEL_RPM
 
@@ -164,3 +164,12 @@ def test_a_limit_of_nothing_is_refused() -> None:
     """A limit has to be above zero."""
     with pytest.raises(InputError, match="above 0"):
         accumulated_throughput((), found("hydrazine").prediction, 0.0)
+
+
+def test_a_quantity_that_is_fixed_is_no_question_for_a_plan() -> None:
+    """Without spread there is nothing to learn: gains of 1e-26 nats had been ranked."""
+    known = learned()
+    level = np.broadcast_to(known.physics.level_n.mean(0), known.physics.level_n.shape)
+    fixed = replace(known, physics=replace(known.physics, level_n=level))
+    with pytest.raises(InputError, match="expected a quantity that the fit leaves open"):
+        plan(fixed, "thrust_mean_n", WHEELS, START, levels=1)

@@ -187,3 +187,57 @@ def test_a_bad_file_of_priors_is_refused(tmp_path: Path, old: str, new: str, sai
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=said):
         read_beliefs(path)
+
+
+def test_a_file_of_priors_replaces_those_that_it_has(tmp_path: Path) -> None:
+    """One table suffices; what the package believes of whole pulses goes with the control cycle."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[wheel_ramp_s_per_rpm]\ndist = "norm"\nloc = 1.2\nscale = 0.1\n'
+        'unit = "s/rpm"\nsource = "x"\n'
+    )
+    ours, mine, slow = read_beliefs(), read_beliefs(path), read_beliefs(path, 1.0)
+    assert mine.moments("wheel_ramp_s_per_rpm") == slow.moments("wheel_ramp_s_per_rpm")
+    assert mine.moments("wheel_ramp_s_per_rpm") == (1.2, 0.1)
+    assert mine.moments("wheel_loop_s") == ours.moments("wheel_loop_s")
+    assert slow.moments("pulses_per_second") == pytest.approx((0.95, 0.05))
+    assert slow.moments("minor_quantum_s")[0] == pytest.approx(
+        8.0 * ours.moments("minor_quantum_s")[0]
+    )
+    assert slow.moments("event_spread") == ours.moments("event_spread")
+
+
+def asked(**changed: object) -> BiasRequest:
+    """A request for two wheels, as a program makes it, something of it changed."""
+    given: dict[str, object] = {
+        "id": "a",
+        "wheels": (1, 2),
+        "start_rpm": [0.0, 10.0],
+        "end_rpm": [100.0, 500.0],
+    }
+    return BiasRequest(**(given | changed))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"start_rpm": [float("nan"), 10.0]}, "start_rpm: expected one finite rate"),
+        ({"end_rpm": [100.0]}, "for each of 2 wheels"),
+        ({"wheels": (1, 1)}, "wheel 1 twice"),
+        ({"wheels": (), "start_rpm": [], "end_rpm": []}, "of at least one"),
+        ({"quaternion": (0.0, 0.0, 0.0, 3.0)}, "of unit norm"),
+    ],
+)
+def test_a_request_of_a_program_is_checked(changed: dict[str, object], said: str) -> None:
+    """What cannot be a bias is refused where the request is made."""
+    with pytest.raises(InputError, match=said):
+        asked(**changed)
+
+
+def test_a_request_without_a_zone_is_in_utc_and_unknown_wheels_are_named() -> None:
+    """As texts are; a wheel that the spacecraft lacks is no prime wheel."""
+    request = asked(epoch=datetime(2011, 1, 1))  # noqa: DTZ001  that it has none is the case
+    assert request.epoch == datetime(2011, 1, 1, tzinfo=UTC)
+    check_request(request, CRAFT, "B", (1, 2, 4), START)
+    with pytest.raises(InputError, match="wheel 7, which is not prime"):
+        check_request(asked(wheels=(1, 7)), CRAFT, "B", (1, 2, 4), START)

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from event_cases import simulated
 from prediction_cases import model, write_run_folder
-from totals_cases import B_BRANCH
+from totals_cases import B_BRANCH, FLIGHT
 
 from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.files.storage import digest
-from cassini_bayes.prediction.sources import locate, read_sources, sources_of
+from cassini_bayes.prediction.sources import learn_from_fit, locate, read_sources, sources_of
 
 
 def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
@@ -70,3 +70,29 @@ def test_what_telemetry_did_not_need_is_asked_for_at_once() -> None:
     other = replace(craft, axis_pairs={**craft.axis_pairs, "+y": craft.axis_pairs["+x"]})
     with pytest.raises(InputError, match=r"axis_pairs .* expected two axes that share"):
         sources_of(replace(model(), priors=replace(bare, spacecraft=other)))
+
+
+def test_events_named_by_hand_are_those_of_the_fit(tmp_path: Path) -> None:
+    """A copy elsewhere is taken, one with another duration is not."""
+    fit = write_run_folder(tmp_path)
+    moved = tmp_path / "moved.csv"
+    shutil.copy(FLIGHT, moved)
+    assert len(read_sources(fit, str(moved)).events) == 8
+    moved.write_text(FLIGHT.read_text() + "\n# changed\n")
+    with pytest.raises(InputError, match=r"--events .*as they were when the fit was made"):
+        read_sources(fit, str(moved))
+
+
+def test_priors_named_by_hand_leave_free_what_the_fit_drew(tmp_path: Path) -> None:
+    """A value fixed there would take the place of the fit's draws, silently."""
+    fit = write_run_folder(tmp_path)
+    other = tmp_path / "other.toml"
+    text = B_BRANCH.read_text()
+    start = text.index("[parameters.cm_x_m]")
+    end = text.index("\n[", start)
+    other.write_text(
+        f'{text[:start]}[parameters.cm_x_m]\nfixed = 0.08\nunit = "m"\nsource = "x"\n{text[end:]}'
+    )
+    sources = read_sources(fit, priors=other)
+    with pytest.raises(InputError, match="cm_x_m is free, as in the fit"):
+        learn_from_fit(fit, sources, 1)
