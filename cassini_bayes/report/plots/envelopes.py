@@ -43,6 +43,8 @@ def envelope_figure(ranks: Mapping[str, Ranks], probability: float) -> Figure:
             axis.axhline(0.0, color="black", lw=0.5)
         for axis in axes[:, 0]:
             axis.set_ylabel("ECDF of ranks − uniform\n(fraction)")
-        for axis in axes[-1]:
+        lowest = [axes[(len(ranks) - 1 - column) // _COLUMNS, column] for column in range(_COLUMNS)]
+        for axis in lowest[: len(ranks)]:  # of a last row that is not full, the one above
             axis.set_xlabel("normalised rank of the truth")
+            axis.tick_params(labelbottom=True)
     return figure
