@@ -174,7 +174,7 @@ def table(records: Sequence[Record]) -> str:
                 int(own == "group"),
                 "" if p_value is None else f"{p_value:.4f}",
                 f"{said.get('wall_s', math.nan):.1f}",
-                f"{sigma(record):.1f}" if "oracle" in record else "",
+                f"{sigma(record):.2f}" if "oracle" in record else "",
                 " ".join(record["oracle"]["group"]) if "oracle" in record else "",
             )
         )
