@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from cassini_bayes.cli import calibrations
 from cassini_bayes.diagnosis import diagnosis
 from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES
@@ -20,7 +21,7 @@ from cassini_bayes.events.telemetry.event import _KEYS as EVENT_KEYS
 from cassini_bayes.events.telemetry.reader import load_event
 from cassini_bayes.events.totals import read_totals, totals_columns
 from cassini_bayes.model.mission import mission_file as mission
-from cassini_bayes.pipeline import run_file
+from cassini_bayes.pipeline import diagnoses, run_file
 from cassini_bayes.pipeline.listings import causes
 from cassini_bayes.pipeline.run import WRITTEN
 from cassini_bayes.pipeline.starting import write_starting_files
@@ -175,6 +176,15 @@ def test_the_tables_of_results_name_what_is_written() -> None:
     page = "results-format.md"
     assert sorted(names(page, "Groups")) == sorted(GROUPS)
     assert {name.rstrip("/") for name in names(page, "A run folder")} >= set(WRITTEN)
+    diagnosed = first_cells(page, "The folder of a diagnosis")
+    named = {name.rstrip("/") for cell in diagnosed for name in re.findall(r"`([^`]+)`", cell)}
+    assert named == set(diagnoses.WRITTEN)
+
+
+def test_every_study_has_its_row() -> None:
+    """What `calibrate` runs, by the names of its commands."""
+    studies = [command.name for command in calibrations.app.registered_commands]
+    assert sorted(names("commands.md", "calibrate")) == sorted(map(str, studies))
 
 
 def test_the_table_of_a_diagnosis_names_what_is_recorded() -> None:
