@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +203,17 @@ def test_every_cause_has_its_row() -> None:
     cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     listed = {name for cell in cells for name in re.findall(r"`([a-z_]+)(?::<[^`]+>)?`", cell)}
     assert listed == {kind.name for kind in registry.KINDS}
+
+
+def test_the_row_of_a_recording_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the how-to runs for counters too coarse: on-times are what the counters gained."""
+    shutil.copytree(EXAMPLES / "2010-01-01-bias", tmp_path / "events" / "may")
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "how-to" / "fitting-telemetry.md").read_text("utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    exec(block, {})  # noqa: S102
+    (row,) = read_totals(tmp_path / "totals.csv", CASSINI)
+    assert row.on_time_s.sum() == pytest.approx(1.336 + 1.798 + 1.798)
 
 
 def test_every_mistake_has_its_row() -> None:
