@@ -5,12 +5,14 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from cassini_bayes.cli import calibrations
 from cassini_bayes.diagnosis import diagnosis
 from cassini_bayes.effects import registry
 from cassini_bayes.events.plausibility import MISTAKES
@@ -20,7 +22,7 @@ from cassini_bayes.events.telemetry.event import _KEYS as EVENT_KEYS
 from cassini_bayes.events.telemetry.reader import load_event
 from cassini_bayes.events.totals import read_totals, totals_columns
 from cassini_bayes.model.mission import mission_file as mission
-from cassini_bayes.pipeline import run_file
+from cassini_bayes.pipeline import diagnoses, run_file
 from cassini_bayes.pipeline.listings import causes
 from cassini_bayes.pipeline.run import WRITTEN
 from cassini_bayes.pipeline.starting import write_starting_files
@@ -175,6 +177,15 @@ def test_the_tables_of_results_name_what_is_written() -> None:
     page = "results-format.md"
     assert sorted(names(page, "Groups")) == sorted(GROUPS)
     assert {name.rstrip("/") for name in names(page, "A run folder")} >= set(WRITTEN)
+    diagnosed = first_cells(page, "The folder of a diagnosis")
+    named = {name.rstrip("/") for cell in diagnosed for name in re.findall(r"`([^`]+)`", cell)}
+    assert named == set(diagnoses.WRITTEN)
+
+
+def test_every_study_has_its_row() -> None:
+    """What `calibrate` runs, by the names of its commands."""
+    studies = [command.name for command in calibrations.app.registered_commands]
+    assert sorted(names("commands.md", "calibrate")) == sorted(map(str, studies))
 
 
 def test_the_table_of_a_diagnosis_names_what_is_recorded() -> None:
@@ -192,6 +203,17 @@ def test_every_cause_has_its_row() -> None:
     cells = [line.split("|")[1] for line in text.splitlines() if line.startswith("| `")]
     listed = {name for cell in cells for name in re.findall(r"`([a-z_]+)(?::<[^`]+>)?`", cell)}
     assert listed == {kind.name for kind in registry.KINDS}
+
+
+def test_the_row_of_a_recording_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the how-to runs for counters too coarse: on-times are what the counters gained."""
+    shutil.copytree(EXAMPLES / "2010-01-01-bias", tmp_path / "events" / "may")
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "how-to" / "fitting-telemetry.md").read_text("utf-8")
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    exec(block, {})  # noqa: S102
+    (row,) = read_totals(tmp_path / "totals.csv", CASSINI)
+    assert row.on_time_s.sum() == pytest.approx(1.336 + 1.798 + 1.798)
 
 
 def test_every_mistake_has_its_row() -> None:

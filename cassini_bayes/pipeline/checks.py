@@ -20,7 +20,9 @@ from cassini_bayes.model.observability import Observability, observability
 from cassini_bayes.model.posterior import Event, Model, collapse, log_posterior
 from cassini_bayes.model.thrusts import level_moments
 from cassini_bayes.model.totals import DeltaVUse
-from cassini_bayes.pipeline.models import PriorsLike, read_model
+from cassini_bayes.pipeline.models import PriorsLike, priors_of, read_model
+from cassini_bayes.pipeline.starting import PLACEHOLDER
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.fitting import collapsed_size
 from cassini_bayes.results.sensitivity import conflicts
@@ -42,7 +44,7 @@ class CheckResult:
     ``rows`` says what of every event is used; ``findings`` which mistakes were accepted and what
     fits nothing known; ``seen`` what the events can tell (linearised at the prior means);
     ``disagree`` what prior and data disagree on at the mode; ``seconds`` between which a run takes
-    its draws here.
+    its draws here; ``placeholders`` which parameters have priors that ``init`` made up.
     """
 
     model: Model
@@ -51,11 +53,16 @@ class CheckResult:
     seen: Observability
     disagree: pd.DataFrame
     seconds: tuple[float, float]
+    placeholders: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What has to be read first: findings, effects that cannot be seen, conflicts."""
-        return (*self.findings, *self.seen.unseen_effects, *self._conflicts)
+        """What has to be read first: placeholders, findings, unseen effects, conflicts."""
+        found = (*self.findings, *self.seen.unseen_effects, *self._conflicts)
+        if not self.placeholders:
+            return found
+        names = ", ".join(self.placeholders)
+        return (f"{len(self.placeholders)} of the priors are placeholders: {names}", *found)
 
     @property
     def _conflicts(self) -> tuple[str, ...]:
@@ -82,6 +89,7 @@ class CheckResult:
         return {
             "rows": self.rows.to_dict(orient="records"),
             "findings": list(self.findings),
+            "placeholders": list(self.placeholders),
             "seen": self.seen.table.to_dict(orient="records"),
             "together": [list(pair) for pair in self.seen.together],
             "conflicts": list(self._conflicts),
@@ -165,7 +173,8 @@ def check(
     """
     policy = Policy.of(accept, leave_out=leave_out)
     reading = (effects, effect_files, pulse_shape, delta_v, source, policy, log)
-    read = read_model(events, priors, *reading)
+    known = None if priors is None else priors_of(priors)
+    read = read_model(events, known, *reading)
     model = read.model
     seen = observability(model)
     mode = highest_mode(partial(log_posterior, model), model.starts)
@@ -176,7 +185,14 @@ def check(
         seen=seen,
         disagree=_disagreement(model, seen, mode),
         seconds=_seconds(model, mode),
+        placeholders=() if known is None else _placeholders(known),
     )
+
+
+def _placeholders(priors: Priors) -> tuple[str, ...]:
+    """Parameters whose priors are still those of `init`, which knows nothing of the spacecraft."""
+    every = priors.parameters.items()
+    return tuple(name for name, prior in every if prior.source.startswith(PLACEHOLDER))
 
 
 def _row(event: Event) -> dict[str, object]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final
 
 import pandas as pd
 
@@ -20,6 +21,9 @@ from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 from cassini_bayes.sweep.models import scalar_names
 
+_FITTED: Final = frozenset({"telemetry", "totals"})
+"""Inputs that a model is made of; a diagnosis weighs more (on-times, printed estimates)."""
+
 
 def causes(priors: PriorsLike, *, effect_files: Sequence[PathLike] = ()) -> pd.DataFrame:
     """Causes that a diagnosis weighs, and effects that a fit takes by name.
@@ -35,7 +39,8 @@ def causes(priors: PriorsLike, *, effect_files: Sequence[PathLike] = ()) -> pd.D
     -------
     DataFrame, one row per cause and parameter: ``name`` (``thruster_leak:z3``), ``inputs`` that
     show it, ``prior_probability`` of the cause among all, ``parameter``, ``unit``, ``prior`` and
-    ``fitted_by_name``: whether ``fit`` takes it, or a search comes first (``diagnose``).
+    ``fitted_by_name``: whether ``fit`` takes it. It does not where a search comes first
+    (``diagnose``), or where neither telemetry nor totals show it.
 
     Raises
     ------
@@ -54,7 +59,9 @@ def causes(priors: PriorsLike, *, effect_files: Sequence[PathLike] = ()) -> pd.D
             "parameter": parameter.key,
             "unit": parameter.unit,
             "prior": in_words(parameter.distribution),
-            "fitted_by_name": not effect.needs_search,
+            "fitted_by_name": not (
+                effect.needs_search or _FITTED.isdisjoint(tables[effect.kind.name].inputs)
+            ),
         }
         for effect in catalogue.effects
         for parameter in effect.parameters

@@ -34,6 +34,8 @@ from cassini_bayes.spacecraft.parameters import ParameterSpec
 
 PROPOSED: Final = "#: "
 """Begins every proposed line of a channel map: taking it away is the user's word that it is so."""
+PLACEHOLDER: Final = "placeholder"
+"""Begins the source of a prior that nobody has replaced yet."""
 _NO_EPOCH: Final = "2000-01-01T00:00:00Z"
 _MOST_LISTED: Final = 200
 _PLACEHOLDERS: Final[Mapping[str, str]] = {  # of a spacecraft's own parameters, by their unit
@@ -163,7 +165,7 @@ def _priors(start: Start, folder: Path) -> str:
     tables = [_placeholder(known[name]) for name in needed]
     return "\n".join(
         [
-            "# Placeholders, which fit no spacecraft: a fit refuses what contradicts them.\n"
+            "# Placeholders, which fit no spacecraft: `check` names those that are left.\n"
             "# Replace loc, scale and source of every parameter by what you know, and why.\n\n"
             f'[spacecraft]\n{named}\nbranch = "{start.branch}"\nwheels = {list(start.wheels)}\n',
             *tables,
@@ -177,7 +179,7 @@ def _placeholder(spec: ParameterSpec) -> str:
     values = _PLACEHOLDERS.get(spec.unit, "loc = 0.0\nscale = 1.0")
     return (
         f'[parameters.{spec.name}] # {spec.meaning}\ndist = "norm"\n{values}\n'
-        f'unit = "{spec.unit}"\nsource = "placeholder"\n'
+        f'unit = "{spec.unit}"\nsource = {_toml(f"{PLACEHOLDER}: {spec.meaning}")}\n'
     )
 
 

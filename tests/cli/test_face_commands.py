@@ -15,6 +15,7 @@ from run_cases import B_BRANCH, EVENTS, FLIGHT, command
 from sweep_cases import small_fit
 
 import cassini_bayes as cb
+from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.results.record import save_fit
 
 Captured = pytest.CaptureFixture[str]
@@ -57,6 +58,36 @@ def test_a_thrust_that_the_events_contradict_is_found_before_sampling() -> None:
     shifted = priors().scaled(["thrust_common_n"], shift=-8.0)
     found = cb.check(events("bias"), shifted).warnings
     assert any(line.startswith("thrust_common_n: the data pull it +") for line in found)
+
+
+def test_priors_that_nobody_has_replaced_are_named() -> None:
+    """Placeholders of `init`, counted, in one line; of priors with sources nothing is said."""
+    known = priors()
+    made_up = {
+        name: replace(known.parameters[name], source="placeholder: from a drawing")
+        for name in ("cm_x_m", "tau_rise_s")
+    }
+    unknown = replace(known, parameters={**known.parameters, **made_up})
+    found = cb.check(events("slews"), unknown)
+    said = "2 of the priors are placeholders: tau_rise_s, cm_x_m"
+    assert found.warnings == (said,)
+    assert repr(found).endswith(said)
+    assert found.as_record()["placeholders"] == ["tau_rise_s", "cm_x_m"]
+    assert cb.check(found.model).placeholders == ()
+
+
+def test_causes_that_a_fit_takes_are_told() -> None:
+    """What `causes` says of names is what `fit` does: all others are refused by it."""
+    table = cb.causes(B_BRANCH).drop_duplicates("name").set_index("name")["fitted_by_name"]
+    assert sorted(table.index[~table]) == ["firing_logic", "flexible_mode"]
+    known = priors()
+    for name, fitted in table.items():
+        try:
+            named_effects([str(name)], known, known.wheels, ("telemetry", "totals"))
+        except cb.InputError:
+            assert not fitted, name
+        else:
+            assert fitted, name
 
 
 def test_what_was_mended_stands_below_the_table() -> None:

@@ -143,6 +143,18 @@ def test_likely_columns_are_found(tmp_path: Path, style: int) -> None:
     assert found == {channel: tuple(names[style]) for channel, names in NAMES.items()}
 
 
+def test_an_on_time_is_not_taken_for_the_time(tmp_path: Path) -> None:
+    """Columns of thrusters stand before that of the time; alone they give no proposal for it."""
+    path = tmp_path / "data.csv"
+    for names in ("ON_TIME_{}_S", "time_{}", "sec_on_{}"):
+        on_times = [names.format(name) for name in CASSINI.thruster_names("B")]
+        for own in (["utc"], []):
+            path.write_text(",".join([*on_times, *own]) + "\n")
+            found = {m.channel: m.sources for m in matches(sample_of(path), CASSINI, (1, 2), "B")}
+            expected = {"time": tuple(own)} if own else {}
+            assert found == expected | {"on_time": tuple(on_times)}
+
+
 def test_dates_of_a_parquet_file_are_known_as_such(tmp_path: Path) -> None:
     """Its first row says what its columns hold, so dates are mapped as dates and give the epoch."""
     path = tmp_path / "data.parquet"

@@ -90,7 +90,7 @@ def matches(
         "delta_v": ("x", "y", "z"),
     }
     result = {name: _family(sample.header, names, name) for name, names in members.items()}
-    proposals = [*_times(sample), *_attitudes(sample.header)]
+    proposals = [*_times(sample, spacecraft), *_attitudes(sample.header)]
     taken = {source for match in proposals for source in match.sources}
     for channel in channel_columns(spacecraft, wheels, thrusters):
         sources, stem = result.get(channel, ((), ""))
@@ -150,10 +150,13 @@ def _attitudes(header: Sequence[str]) -> list[Match]:
     return []
 
 
-def _times(sample: Sample) -> list[Match]:
-    """The first column whose name is one of a time, and its system by its first value."""
+def _times(sample: Sample, spacecraft: Spacecraft) -> list[Match]:
+    """The first column whose name is one of a time, and its system by its first value.
+
+    That of a thruster is its on-time.
+    """
     for name in sample.header:
-        if _TIME.search(name.lower()):
+        if _TIME.search(name.lower()) and not may_be_driven(name, spacecraft):
             value = sample.first.get(name, "").strip().strip('"')
             keys = {"time_system": '"iso8601"'} if first_date(value) else {"unit": '"s"'}
             return [Match("time", (name,), keys)]
