@@ -284,6 +284,29 @@ def test_changes_and_drift_move_parameters() -> None:
     assert used[1] > used[0] > 0
 
 
+@pytest.mark.parametrize("computed", [True, False])
+def test_a_factor_on_computed_hydrazine_is_one_on_drifts(computed: bool) -> None:
+    """Also where all pressures are read: 20 % more hydrazine is 20 % more drift. The factor is not
+    there where the mass was measured.
+    """
+    table = mission_table(
+        drift={"cm_x_m": KNOWN_DRIFT},
+        propellant={
+            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}],
+            "computed": computed,
+        },
+    )
+    model = mission_of(mixed_events()[:2], table)
+    assert ("hydrazine_used_factor" in model.space.names) == computed
+    parameters = dict(model.space.to_parameters(np.zeros((1, model.space.dimension))))
+    if computed:
+        parameters["hydrazine_used_factor"] = np.array([1.2])
+    for part, kg in zip(model.parts, model.circumstances.used_kg, strict=True):
+        own = part.parameters_at(parameters, np.ones(1), 0.0)
+        drifted = 0.001 * (1.2 if computed else 1.0) * kg
+        assert float(np.squeeze(own["cm_x_m"])) == pytest.approx(0.13 + drifted)
+
+
 def test_two_branches_without_a_mission_are_refused() -> None:
     """A plain model of both branches names the branch that is too much, and the mission file."""
     from mission_cases import PRIORS
