@@ -43,7 +43,7 @@ class Circumstances:
 
     events: tuple[EventFacts, ...]
     years: Array  # (E,) since the reference epoch
-    used_kg: Array  # (E,) tabulated hydrazine used since the reference epoch
+    used_kg: Array  # (E,) tabulated hydrazine used since the reference epoch; 0 without drifts
     facts_before: tuple[int, ...]  # (E,) how many dated facts came before
     tank: Tank
 
@@ -91,7 +91,8 @@ def circumstances_of(
     InputError
         Events out of order, of a branch that a swap had put out of use, or without a pressure; a
         pressure that looks like psia; a forecast of a branch that no event fires, or of a date
-        before the last one that does.
+        before the last one that does; a date beyond the hydrazine table where a drift or the
+        blowdown law goes by it.
     """
     for before, after in pairwise(events):
         if after.epoch < before.epoch:
@@ -106,12 +107,15 @@ def circumstances_of(
     for place, asked in enumerate(mission.trend.forecast, start=1):
         _require_later(asked, events, f"{where}: trend.forecast[{place}]")
     start = mission.trend.reference_epoch
-    used = np.array([_used_kg(mission, event.epoch) for event in events])
+    used = np.zeros(len(events))
+    if mission.drift:
+        used -= _used_kg(mission, start, f"{where}: trend.reference_epoch")
+        used += [_used_kg(mission, e.epoch, f"{where}: event {e.id}") for e in events]
     facts = [utc(fact.epoch) for fact in mission.dated]
     return Circumstances(
         events=tuple(events),
         years=np.array([years_between(start, event.epoch) for event in events]),
-        used_kg=used - _used_kg(mission, utc(start)),
+        used_kg=used,
         facts_before=tuple(sum(at <= event.epoch for at in facts) for event in events),
         tank=tank_of(mission, events, where),
     )
@@ -123,7 +127,8 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
     Raises
     ------
     InputError
-        An event that fires without any of these; a pressure that is hardly one in kPa.
+        An event that fires without any of these; a pressure that is hardly one in kPa; a date
+        beyond the hydrazine table that the law goes by.
     """
     same = np.ones(len(events))
     if mission.pressure is None:
@@ -138,20 +143,25 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
         if reading is not None:
             _require_kpa(reading, table.reference_kpa, f"{where}: event {event.id}")
             known[i] = reading
-        elif law is None and event.fires:
+        elif not event.fires:
+            known[i] = table.reference_kpa  # its pressure does not matter
+        elif law is None:
             raise InputError(
                 f"{where}: event {event.id}",
                 "a tank pressure",
                 "none: no tank_pressure_kpa, no reading before and after it, no blowdown law",
                 "add it to [pressure] readings",
             )
-        elif law is None:
-            known[i] = table.reference_kpa  # nothing fires: its pressure does not matter
     if law is None:
         return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
     last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
-    before = np.array([0.0 if at is None else _used_kg(mission, at) for at in last])
-    used = np.array([_used_kg(mission, event.epoch) for event in events])
+    used, before = np.zeros((2, len(events)))
+    for place, (event, filled) in enumerate(zip(events, last, strict=True)):
+        if np.isnan(known[place]):
+            named = f"{where}: event {event.id}"
+            used[place] = _used_kg(mission, event.epoch, named)
+            if filled is not None:
+                before[place] = _used_kg(mission, filled, f"{named}: the recharge before it")
     after_kpa = law.start_kpa if law.recharge_kpa is None else law.recharge_kpa
     return Tank(
         reference_kpa=table.reference_kpa,
@@ -221,10 +231,18 @@ def _between_readings(
     return None
 
 
-def _used_kg(mission: MissionTable, epoch: Epoch) -> float:
-    """Hydrazine used by an epoch, linear between entries and constant beyond them; 0 without."""
-    if mission.propellant is None:
-        return 0.0
-    at = [utc(entry.epoch).timestamp() for entry in mission.propellant.used]
-    used = [entry.kg for entry in mission.propellant.used]
-    return float(np.interp(utc(epoch).timestamp(), at, used))
+def _used_kg(mission: MissionTable, epoch: Epoch, where: str) -> float:
+    """Hydrazine used by an epoch, linear between entries; beyond them it is refused."""
+    assert mission.propellant is not None  # a mission file with a law or a drift has it
+    table, moment = mission.propellant.used, utc(epoch)
+    at = [utc(entry.epoch) for entry in table]
+    if not at[0] <= moment <= at[-1]:
+        raise InputError(
+            where,
+            f"a date from {table[0].epoch} to {table[-1].epoch}, of which [propellant] used tells"
+            " the hydrazine that the blowdown law or [drift] goes by",
+            moment.isoformat(),
+            f"add an entry {'before' if moment < at[0] else 'after'} it",
+        )
+    used = [entry.kg for entry in table]
+    return float(np.interp(moment.timestamp(), [t.timestamp() for t in at], used))

@@ -17,6 +17,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
 
+USED = {"used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]}
 KNOWN_DRIFT = {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}
 
 
@@ -72,6 +73,50 @@ def test_blowdown_law_follows_the_gas() -> None:
     assert tank.is_circular
     expected = [[2000 * 0.05 / 0.06, 2700 * 0.06 / 0.065], [2000 * 0.05 / 0.07, 2700 * 0.07 / 0.08]]
     np.testing.assert_allclose(tank.pressures_kpa(np.array([1.0, 2.0])), expected)
+
+
+LAW = {"start_kpa": 2635.0, "ullage_m3": 0.05, "density_kg_m3": 1004.0, "recharge_kpa": 2700.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"pressure": {"reference_kpa": 1758.0, "blowdown": LAW}}, "event late: expected a date"),
+        ({"drift": {"cm_x_m": KNOWN_DRIFT}}, r"event late: .*2010-01-01 .*; add an entry after it"),
+        (
+            {
+                "drift": {"cm_x_m": KNOWN_DRIFT},
+                "trend": {"reference_epoch": utc(2004, 12, 31)},
+            },
+            r"reference_epoch: expected a date from 2005-01-01 .*; add an entry before it",
+        ),
+    ],
+)
+def test_hydrazine_is_not_taken_beyond_its_table(given: dict[str, Any], message: str) -> None:
+    """It does not stand still after the last entry; who has its own pressure asks for none."""
+    facts = [fact("early", utc(2005, 3, 1)), fact("late", utc(2010, 3, 1), "B")]
+    with pytest.raises(InputError, match=message) as refused:
+        circumstances_of(mission_table(propellant=USED, **given), facts, "mission.toml")
+    assert "\n" not in str(refused.value)
+    own = mission_table(propellant=USED, pressure={"reference_kpa": 1758.0, "blowdown": LAW})
+    facts[1] = replace(facts[1], pressure_kpa=2000.0)
+    still = replace(facts[1], id="still", fires=False, pressure_kpa=None)
+    tank = circumstances_of(own, [*facts, still], "mission.toml").tank
+    assert np.isnan(tank.known_kpa).tolist() == [True, False, False]
+    kg = 50.0 * (utc(2005, 3, 1) - utc(2005, 1, 1)) / (utc(2010, 1, 1) - utc(2005, 1, 1))
+    expected = 2635.0 * 0.05 / (0.05 + kg / 1004.0)
+    np.testing.assert_allclose(tank.pressures_kpa(np.ones(1))[0, :2], [expected, 2000.0])
+
+
+def test_gas_at_a_recharge_before_the_table_is_unknown() -> None:
+    """The hydrazine used by then is part of the volume that the law starts anew from."""
+    used = [{"epoch": utc(2007, 1, 1), "kg": 40.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
+    with pytest.raises(InputError, match="event x: the recharge before it: expected a date"):
+        pressures(
+            [fact("x", utc(2008, 1, 1))],
+            pressure={"reference_kpa": 1758.0, "blowdown": LAW},
+            propellant={"used": used},
+        )
 
 
 @pytest.mark.parametrize(
@@ -141,6 +186,7 @@ def test_forecasts_that_cannot_be_are_refused(
         ),
         ({"dated": [{"epoch": utc(2009, 3, 12), "what": "swop", "source": "x"}]}, "branch_swap"),
         ({"pulse_shape": "square"}, "pulse_shape: expected one of"),
+        ({"drift": {"cm_x_m": KNOWN_DRIFT}}, r"propellant: .*which \[drift\] needs, got no such"),
         ({"spacecraft": {"nam": "voyager"}}, r"spacecraft\.nam: .*did you mean 'name'"),
     ],
 )
@@ -229,7 +275,7 @@ def test_a_drift_that_cannot_be_names_the_file() -> None:
     ):
         drift = {name: {**KNOWN_DRIFT, "unit": "m"}}
         with pytest.raises(InputError, match=message):
-            mission_of(mixed_events(), mission_table(drift=drift))
+            mission_of(mixed_events()[:2], mission_table(drift=drift, propellant=USED))
 
 
 def test_one_parameter_is_changed_once_at_a_moment() -> None:
@@ -270,9 +316,7 @@ def test_changes_and_drift_move_parameters() -> None:
     table = mission_table(
         dated=[{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}],
         drift={"cm_x_m": {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}},
-        propellant={
-            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
-        },
+        propellant=USED,
     )
     model = mission_of(mixed_events()[:2], table)
     parameters = model.space.to_parameters(np.zeros((1, model.space.dimension)))
@@ -291,10 +335,7 @@ def test_a_factor_on_computed_hydrazine_is_one_on_drifts(computed: bool) -> None
     """
     table = mission_table(
         drift={"cm_x_m": KNOWN_DRIFT},
-        propellant={
-            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}],
-            "computed": computed,
-        },
+        propellant={**USED, "computed": computed},
     )
     model = mission_of(mixed_events()[:2], table)
     assert ("hydrazine_used_factor" in model.space.names) == computed
