@@ -23,7 +23,7 @@ from cassini_bayes.model.mission.mission_file import (
 
 KPA_PER_PSI: Final = 6.894757
 LARGEST_BLOWDOWN: Final = 4.0
-"""Ratio of pressures that a blowdown tank spans at most; a reading in psia is 6.9 times less."""
+"""Ratio of pressures that a blowdown tank spans at most; figures in psia are 6.9 times less."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ def circumstances_of(
     ------
     InputError
         Events out of order, of a branch that a swap had put out of use, or without a pressure; a
-        pressure that looks like psia; a forecast of a branch that no event fires, or of a date
-        before the last one that does; a date beyond the hydrazine table where a drift or the
-        blowdown law goes by it.
+        pressure, one of a forecast too, in another unit than the reference; a forecast of a branch
+        that no event fires, or of a date before the last one that does; a date beyond the hydrazine
+        table where a drift or the blowdown law goes by it.
     """
     for before, after in pairwise(events):
         if after.epoch < before.epoch:
@@ -105,7 +105,11 @@ def circumstances_of(
     for event in events:
         _require_branch(mission, event, where)
     for place, asked in enumerate(mission.trend.forecast, start=1):
-        _require_later(asked, events, f"{where}: trend.forecast[{place}]")
+        named = f"{where}: trend.forecast[{place}]"
+        _require_later(asked, events, named)
+        if mission.pressure is not None:
+            reference = mission.pressure.reference_kpa
+            _require_kpa(asked.pressure_kpa, reference, f"{named}.pressure_kpa")
     start = mission.trend.reference_epoch
     used = np.zeros(len(events))
     if mission.drift:
@@ -154,6 +158,9 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
             )
     if law is None:
         return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
+    after_kpa = law.start_kpa if law.recharge_kpa is None else law.recharge_kpa
+    for key, filled_kpa in (("start_kpa", law.start_kpa), ("recharge_kpa", after_kpa)):
+        _require_kpa(filled_kpa, table.reference_kpa, f"{where}: pressure.blowdown.{key}")
     last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
     used, before = np.zeros((2, len(events)))
     for place, (event, filled) in enumerate(zip(events, last, strict=True)):
@@ -162,7 +169,6 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
             used[place] = _used_kg(mission, event.epoch, named)
             if filled is not None:
                 before[place] = _used_kg(mission, filled, f"{named}: the recharge before it")
-    after_kpa = law.start_kpa if law.recharge_kpa is None else law.recharge_kpa
     return Tank(
         reference_kpa=table.reference_kpa,
         known_kpa=known,
@@ -175,12 +181,14 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
 
 
 def _require_kpa(pressure: float, reference: float, where: str) -> None:
-    if pressure * LARGEST_BLOWDOWN < reference:
+    """Refuse what no tank has beside the reference: one of the two is in another unit."""
+    if max(pressure, reference) > LARGEST_BLOWDOWN * min(pressure, reference):
+        which, psia = ("it", pressure) if pressure < reference else ("the reference", reference)
         raise InputError(
             where,
             f"a tank pressure in kPa, not far from the reference of {reference:g} kPa",
             f"{pressure:g}",
-            f"if it is psia, write {pressure * KPA_PER_PSI:.0f} kPa",
+            f"if {which} is psia, write {psia * KPA_PER_PSI:.0f} kPa, else take a nearer reference",
         )
 
 

@@ -253,6 +253,31 @@ def test_readings_out_of_order_are_refused() -> None:
         mission_table(pressure={"reference_kpa": 1758.0, "readings": readings})
 
 
+def test_pressures_in_two_units_are_refused() -> None:
+    """A reference in psia beside readings in kPa, or a forecast or a law in psia; pressures that a
+    tank spans go through, and a forecast where the mission has none.
+    """
+    facts = [fact("a", utc(2005, 3, 1), kpa=1758.0)]
+
+    def table(reference: float, forecast: float, start: float = 2635.0) -> dict[str, Any]:
+        asked = {"epoch": utc(2012, 1, 1), "branch": "A", "pressure_kpa": forecast}
+        return {
+            "pressure": {"reference_kpa": reference, "blowdown": {**LAW, "start_kpa": start}},
+            "propellant": USED,
+            "trend": {"reference_epoch": utc(2005, 1, 1), "forecast": [asked]},
+        }
+
+    for given, message in (
+        (table(255.0, 255.0), r"1758; if the reference is psia, write 1758 kPa"),
+        (table(1758.0, 255.0), r"forecast\[1\]\.pressure_kpa: .* if it is psia, write 1758 kPa"),
+        (table(1758.0, 2000.0, 382.0), r"blowdown\.start_kpa: .* if it is psia, write 2634 kPa"),
+    ):
+        with pytest.raises(InputError, match=message):
+            pressures(facts, **given)
+    pressures(facts, **table(1000.0, 3999.0))
+    pressures(facts, **{**table(1758.0, 1.0), "pressure": None})
+
+
 def test_only_what_may_change_does() -> None:
     """A fact cannot change a thrust, and its unit has to be the parameter's."""
     events = mixed_events()
