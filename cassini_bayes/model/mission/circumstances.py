@@ -89,7 +89,7 @@ def circumstances_of(
     Raises
     ------
     InputError
-        Events out of order, of a branch that a swap had put out of use, or without a pressure; a
+        Events out of order, of a branch that swaps say was not in use, or without a pressure; a
         pressure, one of a forecast too, in another unit than the reference; a forecast of a branch
         that no event fires, or of a date before the last one that does; a date beyond the hydrazine
         table where a drift or the blowdown law goes by it.
@@ -193,13 +193,21 @@ def _require_kpa(pressure: float, reference: float, where: str) -> None:
 
 
 def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> None:
-    swaps = [f for f in mission.dated if f.what == "branch_swap" and utc(f.epoch) <= event.epoch]
-    if swaps and event.branch != swaps[-1].branch:
+    swaps = [fact for fact in mission.dated if fact.what == "branch_swap"]
+    past = [swap for swap in swaps if utc(swap.epoch) <= event.epoch]
+    if past and event.branch != past[-1].branch:
         raise InputError(
             f"{where}: event {event.id}: branch",
-            f"branch {swaps[-1].branch}, in use since the swap of {swaps[-1].epoch}",
+            f"branch {past[-1].branch}, in use since the swap of {past[-1].epoch}",
             f"branch {event.branch} on {event.epoch.date()}",
             "mend the branch or the date, or add the swap back",
+        )
+    if swaps and not past and event.branch == swaps[0].branch:
+        raise InputError(
+            f"{where}: event {event.id}: branch",
+            f"another branch before the swap to {swaps[0].branch} of {swaps[0].epoch}",
+            f"branch {event.branch} on {event.epoch.date()}",
+            "mend the branch or a date, or add the swaps that are missing",
         )
 
 

@@ -134,6 +134,10 @@ def test_gas_at_a_recharge_before_the_table_is_unknown() -> None:
             [fact("a", utc(2010, 3, 1), branch="A")],
             r"branch: expected branch B, in use since the swap of 2009-03-12",
         ),
+        (
+            [fact("a", utc(2007, 3, 1)), fact("b", utc(2008, 3, 1), branch="B")],
+            r"event b: branch: expected another branch before the swap to B of 2009-03-12",
+        ),
     ],
 )
 def test_events_that_cannot_be_are_refused(facts: list[EventFacts], message: str) -> None:
