@@ -33,7 +33,13 @@ from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.mission.fitting import MissionFit, fit_mission
 from cassini_bayes.results.mission.groups import mission_fit_record
-from cassini_bayes.results.mission.record import earlier_draws, save_state, save_trend, trend_draws
+from cassini_bayes.results.mission.record import (
+    earlier_draws,
+    kept_fit,
+    save_state,
+    save_trend,
+    trend_draws,
+)
 from cassini_bayes.results.mission.trend import Trend, proportional_odds, trend_of
 from cassini_bayes.results.record import FIT_FILE, save_fit
 
@@ -113,8 +119,8 @@ def execute_trend(
 ) -> TrendOutcome:
     """Work out the trend of a mission and write it to ``folder``.
 
-    The same command goes on where a killed one stopped, and updates the draws of a shorter mission
-    where events have been added.
+    The same command goes on where a killed one stopped, has the same draws where one has ended, and
+    updates those of a shorter mission where events have been added.
 
     Parameters
     ----------
@@ -173,7 +179,7 @@ def _refuse_run(folder: Path) -> None:
 def _fitted(
     mission: MissionTable, inputs: MissionInputs, laws: str, work: Path, reporter: Reporter
 ) -> MissionFit:
-    """The fit, from the draws of a shorter mission where there are some."""
+    """The fit that was kept of these events, else one from the draws of a shorter mission."""
     content = _hash(laws, *(f"{event} {value}" for event, value in inputs.digests.items()))
     densities = work / content[:16]
 
@@ -181,6 +187,10 @@ def _fitted(
         return CheckpointStore(densities / _hash(label)[:16], _hash(content, label))
 
     state = CheckpointStore(work / f"draws_{laws[:16]}", laws)
+    kept = kept_fit(inputs.model, inputs.losses, inputs.digests, state)
+    if kept is not None:
+        reporter.log("draws as they were kept: the same events")
+        return kept
     earlier = earlier_draws(inputs.digests, state)
     if earlier is not None:
         reporter.log("going on from the draws of an earlier trend")

@@ -43,6 +43,12 @@ ZERO_CENTRED: Final = (
     "thrust_drift_n_per_year",
     "thrust_ageing_n_per_year",
 )
+_OF_ALL_BRANCHES: Final = (
+    "thrust_intercept_share",
+    "thrust_loss_share",
+    "failing_probability",
+    "hydrazine_used_factor",
+)
 _TABLES: Final = ("spacecraft", "parameters", "from_fit", "branch")
 _LEVELS: Final = ("thrust_common_n", "thrust_individual_n")  # what an earlier fit's levels replace
 _PRIOR_KEYS: Final = ("dist", "low", "high", "fixed", "unit", "source")
@@ -327,6 +333,14 @@ def _read_branches(
             check_known(f"{where}.{key}", key, ["parameters"], "the table parameters")
         place = f"{where}.parameters"
         result[name] = _read_parameters(place, entries.get("parameters"), spacecraft)
+        for shared in _OF_ALL_BRANCHES:
+            if shared in result[name]:
+                raise InputError(
+                    f"{place}.{shared}",
+                    "a parameter that a branch may have for itself",
+                    f"{shared}, one of all branches of a mission",
+                    f"write it as [parameters.{shared}]",
+                )
     return result
 
 

@@ -8,6 +8,7 @@ from typing import Final
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.model.mission.mission_file import MissionTable
+from cassini_bayes.model.mission.model import USED_FACTOR
 from cassini_bayes.report.cells import Cell, Column, Table, flagged, tabulate
 from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.templating import rendered, svg_address
@@ -92,10 +93,10 @@ def sentences_of(fit: MissionFit, mission: MissionTable, trend: Trend) -> list[s
             + f"{1e3 * slope.std():.0f} mN a year (± sd), below zero with probability "
             f"{(slope < 0).mean():.2f}."
         )
-    if mission.propellant is not None and mission.propellant.computed:
+    if USED_FACTOR in fit.model.space.names:
         result.append(
-            "The hydrazine used was computed from thrust: pressures of the blowdown law repeat an "
-            "assumed thrust, and a common factor on that mass is inferred with the rest."
+            "The hydrazine used was computed from thrust: pressures of the blowdown law and drifts "
+            "repeat an assumed thrust, so a factor on that mass is inferred with the rest."
         )
     result.append(
         f"Importance draws about {describe(fit.model, fit.references)}: log evidence "

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from totals_cases import FLIGHT, ROOT
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
@@ -106,6 +106,41 @@ def test_a_trend_is_written_and_goes_on_with_new_events(tmp_path: Path, priors: 
         "normalised_B.png",
         "thrust_B.png",
     ]
+
+
+def test_the_same_events_again_have_the_same_numbers(
+    tmp_path: Path, priors: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a trend that was updated, once more and after a kill before its tables were written."""
+    mission, run = tmp_path / "mission.toml", CliRunner()
+
+    def trend(out: Path) -> Result:
+        return run.invoke(app, ["trend", str(mission), "--out", str(out), "--no-report"])
+
+    def written(out: Path) -> tuple[dict[str, Any], str]:
+        done = trend(out)
+        assert done.exit_code == 0, done.output
+        return json.loads((out / "trend.json").read_text("utf-8")), done.output
+
+    write_mission(tmp_path, priors, IDS[:2])
+    for name in ("out", "killed"):
+        written(tmp_path / name)
+    write_mission(tmp_path, priors, IDS)
+    updated, _ = written(tmp_path / "out")
+    again, told = written(tmp_path / "out")
+    assert again == updated
+    assert "going on" not in told
+    with monkeypatch.context() as patch:
+        patch.setattr(trend_run, "trend_of", killed)
+        assert str(trend(tmp_path / "killed").exception) == "killed"
+    assert written(tmp_path / "killed")[0] == updated
+    # negative control: a trend that is made at once has other draws
+    assert written(tmp_path / "anew")[0]["log_evidence"] != updated["log_evidence"]
+
+
+def killed(*_: Any) -> None:
+    """What a process that is ended goes no further than."""
+    raise RuntimeError("killed")
 
 
 def test_a_trend_of_one_event_has_a_page(tmp_path: Path, priors: Path) -> None:

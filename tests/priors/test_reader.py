@@ -445,6 +445,25 @@ def test_spellings_of_one_unit(tmp_path: Path, unit: str) -> None:
         read_priors(write(tmp_path, TEXT + table.format(unit.replace("kg", "g"))))
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("thrust_intercept_share", "thrust_loss_share"),
+        *("failing_probability", "hydrazine_used_factor"),
+    ],
+)
+def test_what_all_branches_share_is_in_no_table_of_one(tmp_path: Path, name: str) -> None:
+    """It would be ignored, or missing: refused with table and fix. A thrust may differ."""
+    table = "\n[branch.A.parameters.{}]\nfixed = 0.7\nunit = '{}'\nsource = 'x'\n"
+    path = write(tmp_path, TEXT + table.format(name, "1"))
+    fix = rf"branch\.A\.parameters\.{name}: .* write it as \[parameters\.{name}\]"
+    with pytest.raises(InputError, match=fix) as refused:
+        read_priors(path)
+    assert str(refused.value).startswith(str(path))
+    priors = read_priors(write(tmp_path, TEXT + table.format("thrust_common_n", "N")))
+    assert priors.for_branch("A").parameters["thrust_common_n"].fixed == 0.7
+
+
 def test_a_gyro_bias_has_a_sign(tmp_path: Path) -> None:
     """Negative control of the rule on negative values: a bias may well be below zero."""
     table = "\n[parameters.rate_bias_x_rad_s]\nfixed = -1e-6\nunit = 'rad/s'\nsource = 'x'\n"

@@ -23,7 +23,7 @@ from cassini_bayes.model.mission.mission_file import (
 
 KPA_PER_PSI: Final = 6.894757
 LARGEST_BLOWDOWN: Final = 4.0
-"""Ratio of pressures that a blowdown tank spans at most; a reading in psia is 6.9 times less."""
+"""Ratio of pressures that a blowdown tank spans at most; figures in psia are 6.9 times less."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Circumstances:
 
     events: tuple[EventFacts, ...]
     years: Array  # (E,) since the reference epoch
-    used_kg: Array  # (E,) tabulated hydrazine used since the reference epoch
+    used_kg: Array  # (E,) tabulated hydrazine used since the reference epoch; 0 without drifts
     facts_before: tuple[int, ...]  # (E,) how many dated facts came before
     tank: Tank
 
@@ -89,9 +89,10 @@ def circumstances_of(
     Raises
     ------
     InputError
-        Events out of order, of a branch that a swap had put out of use, or without a pressure; a
-        pressure that looks like psia; a forecast of a branch that no event fires, or of a date
-        before the last one that does.
+        Events out of order, of a branch that swaps say was not in use, or without a pressure; a
+        pressure, one of a forecast too, in another unit than the reference; a forecast of a branch
+        that no event fires, or of a date before the last one that does; a date beyond the hydrazine
+        table where a drift or the blowdown law goes by it.
     """
     for before, after in pairwise(events):
         if after.epoch < before.epoch:
@@ -104,14 +105,21 @@ def circumstances_of(
     for event in events:
         _require_branch(mission, event, where)
     for place, asked in enumerate(mission.trend.forecast, start=1):
-        _require_later(asked, events, f"{where}: trend.forecast[{place}]")
+        named = f"{where}: trend.forecast[{place}]"
+        _require_later(asked, events, named)
+        if mission.pressure is not None:
+            reference = mission.pressure.reference_kpa
+            _require_kpa(asked.pressure_kpa, reference, f"{named}.pressure_kpa")
     start = mission.trend.reference_epoch
-    used = np.array([_used_kg(mission, event.epoch) for event in events])
+    used = np.zeros(len(events))
+    if mission.drift:
+        used -= _used_kg(mission, start, f"{where}: trend.reference_epoch")
+        used += [_used_kg(mission, e.epoch, f"{where}: event {e.id}") for e in events]
     facts = [utc(fact.epoch) for fact in mission.dated]
     return Circumstances(
         events=tuple(events),
         years=np.array([years_between(start, event.epoch) for event in events]),
-        used_kg=used - _used_kg(mission, utc(start)),
+        used_kg=used,
         facts_before=tuple(sum(at <= event.epoch for at in facts) for event in events),
         tank=tank_of(mission, events, where),
     )
@@ -123,7 +131,8 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
     Raises
     ------
     InputError
-        An event that fires without any of these; a pressure that is hardly one in kPa.
+        An event that fires without any of these; a pressure that is hardly one in kPa; a date
+        beyond the hydrazine table that the law goes by.
     """
     same = np.ones(len(events))
     if mission.pressure is None:
@@ -138,21 +147,28 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
         if reading is not None:
             _require_kpa(reading, table.reference_kpa, f"{where}: event {event.id}")
             known[i] = reading
-        elif law is None and event.fires:
+        elif not event.fires:
+            known[i] = table.reference_kpa  # its pressure does not matter
+        elif law is None:
             raise InputError(
                 f"{where}: event {event.id}",
                 "a tank pressure",
                 "none: no tank_pressure_kpa, no reading before and after it, no blowdown law",
                 "add it to [pressure] readings",
             )
-        elif law is None:
-            known[i] = table.reference_kpa  # nothing fires: its pressure does not matter
     if law is None:
         return Tank(table.reference_kpa, known, same, same, 0.0 * same, 0.0 * same, 1.0)
-    last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
-    before = np.array([0.0 if at is None else _used_kg(mission, at) for at in last])
-    used = np.array([_used_kg(mission, event.epoch) for event in events])
     after_kpa = law.start_kpa if law.recharge_kpa is None else law.recharge_kpa
+    for key, filled_kpa in (("start_kpa", law.start_kpa), ("recharge_kpa", after_kpa)):
+        _require_kpa(filled_kpa, table.reference_kpa, f"{where}: pressure.blowdown.{key}")
+    last = [max((at for at in recharges if at <= e.epoch), default=None) for e in events]
+    used, before = np.zeros((2, len(events)))
+    for place, (event, filled) in enumerate(zip(events, last, strict=True)):
+        if np.isnan(known[place]):
+            named = f"{where}: event {event.id}"
+            used[place] = _used_kg(mission, event.epoch, named)
+            if filled is not None:
+                before[place] = _used_kg(mission, filled, f"{named}: the recharge before it")
     return Tank(
         reference_kpa=table.reference_kpa,
         known_kpa=known,
@@ -165,23 +181,33 @@ def tank_of(mission: MissionTable, events: Sequence[EventFacts], where: str) -> 
 
 
 def _require_kpa(pressure: float, reference: float, where: str) -> None:
-    if pressure * LARGEST_BLOWDOWN < reference:
+    """Refuse what no tank has beside the reference: one of the two is in another unit."""
+    if max(pressure, reference) > LARGEST_BLOWDOWN * min(pressure, reference):
+        which, psia = ("it", pressure) if pressure < reference else ("the reference", reference)
         raise InputError(
             where,
             f"a tank pressure in kPa, not far from the reference of {reference:g} kPa",
             f"{pressure:g}",
-            f"if it is psia, write {pressure * KPA_PER_PSI:.0f} kPa",
+            f"if {which} is psia, write {psia * KPA_PER_PSI:.0f} kPa, else take a nearer reference",
         )
 
 
 def _require_branch(mission: MissionTable, event: EventFacts, where: str) -> None:
-    swaps = [f for f in mission.dated if f.what == "branch_swap" and utc(f.epoch) <= event.epoch]
-    if swaps and event.branch != swaps[-1].branch:
+    swaps = [fact for fact in mission.dated if fact.what == "branch_swap"]
+    past = [swap for swap in swaps if utc(swap.epoch) <= event.epoch]
+    if past and event.branch != past[-1].branch:
         raise InputError(
             f"{where}: event {event.id}: branch",
-            f"branch {swaps[-1].branch}, in use since the swap of {swaps[-1].epoch}",
+            f"branch {past[-1].branch}, in use since the swap of {past[-1].epoch}",
             f"branch {event.branch} on {event.epoch.date()}",
             "mend the branch or the date, or add the swap back",
+        )
+    if swaps and not past and event.branch == swaps[0].branch:
+        raise InputError(
+            f"{where}: event {event.id}: branch",
+            f"another branch before the swap to {swaps[0].branch} of {swaps[0].epoch}",
+            f"branch {event.branch} on {event.epoch.date()}",
+            "mend the branch or a date, or add the swaps that are missing",
         )
 
 
@@ -221,10 +247,18 @@ def _between_readings(
     return None
 
 
-def _used_kg(mission: MissionTable, epoch: Epoch) -> float:
-    """Hydrazine used by an epoch, linear between entries and constant beyond them; 0 without."""
-    if mission.propellant is None:
-        return 0.0
-    at = [utc(entry.epoch).timestamp() for entry in mission.propellant.used]
-    used = [entry.kg for entry in mission.propellant.used]
-    return float(np.interp(utc(epoch).timestamp(), at, used))
+def _used_kg(mission: MissionTable, epoch: Epoch, where: str) -> float:
+    """Hydrazine used by an epoch, linear between entries; beyond them it is refused."""
+    assert mission.propellant is not None  # a mission file with a law or a drift has it
+    table, moment = mission.propellant.used, utc(epoch)
+    at = [utc(entry.epoch) for entry in table]
+    if not at[0] <= moment <= at[-1]:
+        raise InputError(
+            where,
+            f"a date from {table[0].epoch} to {table[-1].epoch}, of which [propellant] used tells"
+            " the hydrazine that the blowdown law or [drift] goes by",
+            moment.isoformat(),
+            f"add an entry {'before' if moment < at[0] else 'after'} it",
+        )
+    used = [entry.kg for entry in table]
+    return float(np.interp(moment.timestamp(), [t.timestamp() for t in at], used))

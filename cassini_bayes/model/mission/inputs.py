@@ -66,8 +66,8 @@ def read_mission(
     ------
     InputError
         Anything wrong with priors, events or their circumstances; another spacecraft than the
-        priors'; an id twice, or data under two; a mistake that explains what no fault of a
-        spacecraft does (it is named).
+        priors'; a fact of a branch that it has not; an id twice, or data under two; a mistake that
+        explains what no fault of a spacecraft does (it is named).
     """
     priors = read_priors(base / mission.priors)
     losses = loss_prior(priors)
@@ -79,6 +79,9 @@ def read_mission(
             repr(name),
             "use the priors of that spacecraft",
         )
+    for number, dated in enumerate(mission.dated, start=1):
+        if dated.branch is not None:
+            priors.spacecraft.check_branch(f"{where}: dated[{number}].branch", dated.branch)
     reads: list[Read] = []
     facts: list[EventFacts] = []
     digests: dict[str, str] = {}

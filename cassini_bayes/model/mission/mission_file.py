@@ -167,8 +167,8 @@ def read_mission_file(path: Path) -> MissionTable:
     ------
     InputError
         As :func:`validated`; dated facts or readings out of order; a swap without its branch; a
-        parameter that two facts change at one moment; a recharge with a blowdown law that does not
-        know the pressure after it.
+        parameter that two facts change at one moment; a blowdown law or a drift without the
+        hydrazine used; a recharge with a law that does not know the pressure after it.
     """
     return check_mission(read_toml(path, "a mission file"), str(path))
 
@@ -206,13 +206,14 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
     _refuse_changed_twice(mission.dated, where)
     shape_named(mission.pulse_shape, f"{where}: pulse_shape")
     law = None if mission.pressure is None else mission.pressure.blowdown
-    if law is not None and mission.propellant is None:
-        raise InputError(
-            f"{where}: propellant",
-            "the hydrazine used, which the blowdown law needs",
-            "no such table",
-            "add [propellant] with used",
-        )
+    for what, is_there in (("the blowdown law", law is not None), ("[drift]", bool(mission.drift))):
+        if is_there and mission.propellant is None:
+            raise InputError(
+                f"{where}: propellant",
+                f"the hydrazine used, which {what} needs",
+                "no such table",
+                "add [propellant] with used",
+            )
     recharges = [fact for fact in mission.dated if fact.what == "recharge"]
     if law is not None and recharges and law.recharge_kpa is None:
         raise InputError(

@@ -54,15 +54,17 @@ _MOST_POINTS, _MOST_ROWS = 100, 5_000  # worked up at a time; rows are events ti
 class Part:
     """Events of the same circumstances, as a model of their own.
 
-    ``names`` maps the model's parameters to the mission's; ``changes`` adds to one of them a
-    mission's parameter times a coefficient.
+    ``names`` maps the model's parameters to the mission's. ``changes`` adds a mission's parameter
+    to one of them, ``drifts`` one times the hydrazine used.
     """
 
     model: Model
     places: Places  # of its events that fire among the branch's
     branch: str
     names: Mapping[str, str]
-    changes: tuple[tuple[str, str, float], ...]
+    changes: tuple[tuple[str, str], ...]
+    drifts: tuple[tuple[str, str], ...]
+    used_kg: float  # tabulated, since the reference epoch
     tail_pressure: str  # mission's names of what the tail-off follows
     tail_ageing: str
     event: int  # one of its events: all share pressure and age as far as the tail-off asks
@@ -72,9 +74,12 @@ class Part:
     ) -> dict[str, Array | float]:
         """The model's parameters at the mission's; relative_pressure (n,) = p / p_ref."""
         own = {name: parameters[mission] for name, mission in self.names.items()}
-        for name, change, coefficient in self.changes:
+        used_kg = self.used_kg * parameters.get(USED_FACTOR, 1.0)
+        added = [(name, parameters[change]) for name, change in self.changes]
+        added += [(name, used_kg * parameters[drift]) for name, drift in self.drifts]
+        for name, amount in added:
             if name in own:
-                own[name] = own[name] + coefficient * parameters[change]
+                own[name] = own[name] + amount
         if TAIL in own and self.tail_pressure in parameters:
             power, rate = parameters[self.tail_pressure], parameters[self.tail_ageing]
             own[TAIL] = own[TAIL] * relative_pressure**-power * np.exp(rate * years)
@@ -354,6 +359,7 @@ def build_mission(
         if any(e.fires for e in circumstances.events if e.branch == branch)
     )
     parts = []
+    drifts = tuple((name, drift_name(name)) for name in mission.drift)
     for members in _alike(mission, priors, circumstances, branches):
         branch = circumstances.events[members[0]].branch
         of_branch = priors.for_branch(branch)
@@ -378,13 +384,16 @@ def build_mission(
             prior_of[by_age] = of_branch.parameters[TAIL_AGEING]
             prior_of[INTERCEPT] = priors.parameters[INTERCEPT]
         first = members[0]
-        changes = tuple(_changes(mission, circumstances, first))
-        parts.append(Part(model, places, branch, names, changes, by_pressure, by_age, first))
-    if circumstances.tank.is_circular:
-        priors.require([USED_FACTOR], "a blowdown law")
-        if mission.propellant is not None and mission.propellant.computed:
-            prior_of[USED_FACTOR] = priors.parameters[USED_FACTOR]
-    space, units = _space(prior_of, told, {c for part in parts for _, c, _ in part.changes})
+        changes = tuple(_changes(mission, circumstances.facts_before[first]))
+        used_kg = float(circumstances.used_kg[first])
+        tail = by_pressure, by_age
+        parts.append(Part(model, places, branch, names, changes, drifts, used_kg, *tail, first))
+    is_computed = mission.propellant is not None and mission.propellant.computed
+    if is_computed and (drifts or circumstances.tank.is_circular):
+        priors.require([USED_FACTOR], "hydrazine that was computed")
+        prior_of[USED_FACTOR] = priors.parameters[USED_FACTOR]
+    moving = {c for part in parts for _, c in (*part.changes, *part.drifts)}
+    space, units = _space(prior_of, told, moving)
     return MissionModel(tuple(parts), branches, circumstances, space, units)
 
 
@@ -484,17 +493,13 @@ def drift_name(name: str) -> str:
     return f"{name}_per_kg"
 
 
-def _changes(
-    mission: MissionTable, circumstances: Circumstances, event: int
-) -> list[tuple[str, str, float]]:
-    """What is added to parameters of an event: (parameter, mission's parameter, coefficient)."""
-    result = [
-        (name, change_name(name, fact.epoch), 1.0)
-        for fact in mission.dated[: circumstances.facts_before[event]]
+def _changes(mission: MissionTable, facts: int) -> list[tuple[str, str]]:
+    """What the first facts add to parameters: (parameter, mission's parameter)."""
+    return [
+        (name, change_name(name, fact.epoch))
+        for fact in mission.dated[:facts]
         for name in fact.change
     ]
-    used = float(circumstances.used_kg[event])
-    return result + [(name, drift_name(name), used) for name in mission.drift]
 
 
 def _told_changes(mission: MissionTable, where: str) -> list[_Told]:

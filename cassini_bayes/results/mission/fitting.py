@@ -332,12 +332,11 @@ def embedded(
     """
     names = model.space.names
     z = rng.standard_normal((len(earlier.z), len(names)))
+    branches = list(earlier.references)
+    prefix = f"{branches[0]}." if len(branches) == 1 else ""
     new = []
     for i, name in enumerate(names):
-        branch, _, of_branch = name.partition(".")
-        before = of_branch if list(earlier.references) == [branch] else name
-        if name in earlier.names:
-            before = name
+        before = name if name in earlier.names else name.removeprefix(prefix)
         if before in earlier.names:
             z[:, i] = earlier.z[:, earlier.names.index(before)]
         else:

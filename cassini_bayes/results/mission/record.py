@@ -9,16 +9,19 @@ from typing import Final
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import write_bytes
-from cassini_bayes.model.mission.losses import Loss
-from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit
+from cassini_bayes.model.mission.losses import Loss, LossPrior
+from cassini_bayes.model.mission.model import MissionModel
+from cassini_bayes.results.mission.fitting import EarlierDraws, MissionFit, weighed_losses
 from cassini_bayes.results.mission.groups import walked_draws
 from cassini_bayes.results.mission.trend import Trend
 from cassini_bayes.results.record import labelled
 
 STATE: Final = "draws"
+Kept = Mapping[str, NDArray[np.generic]]
 
 
 def save_trend(fit: MissionFit, trend: Trend, path: Path) -> None:
@@ -68,7 +71,7 @@ def trend_draws(fit: MissionFit, trend: Trend) -> xr.Dataset:
 
 
 def save_state(fit: MissionFit, digests: Mapping[str, str], store: CheckpointStore) -> None:
-    """Keep the draws that a mission with further events goes on from."""
+    """Keep the draws: the fit of these events, which one of further events goes on from."""
     references = {
         branch: [[loss.thruster, loss.onset] for loss in losses]
         for branch, losses in fit.references.items()
@@ -80,6 +83,7 @@ def save_state(fit: MissionFit, digests: Mapping[str, str], store: CheckpointSto
             "z": fit.z,
             "log_density": fit.log_density,
             "evidence": np.array([fit.log_evidence, fit.log_evidence_se]),
+            "quality": np.array([fit.pareto_k, fit.efficiency]),
             "text": np.frombuffer(json.dumps(text).encode(), dtype=np.uint8),
         },
     )
@@ -93,10 +97,39 @@ def earlier_draws(digests: Mapping[str, str], store: CheckpointStore) -> Earlier
     kept = store.load(STATE)
     if kept is None:
         return None
-    text = json.loads(kept["text"].tobytes())
-    before, now = list(text["events"].items()), list(digests.items())
+    before, now = _events(kept), list(digests.items())
     if len(before) == len(now) or before != now[: len(before)]:
         return None
+    return _draws(kept)
+
+
+def kept_fit(
+    model: MissionModel, prior: LossPrior, digests: Mapping[str, str], store: CheckpointStore
+) -> MissionFit | None:
+    """The fit of these very events, with the same draws; None where none was kept."""
+    kept = store.load(STATE)
+    if kept is None or _events(kept) != list(digests.items()):
+        return None
+    draws = _draws(kept)
+    losses = weighed_losses(model, prior, draws.z, draws.references)
+    pareto_k, efficiency = kept["quality"].tolist()
+    return MissionFit(
+        **vars(draws),
+        model=model,
+        prior=prior,
+        pareto_k=pareto_k,
+        efficiency=efficiency,
+        losses=losses,
+    )
+
+
+def _events(kept: Kept) -> list[tuple[str, str]]:
+    """Events that draws were kept of, with their digests."""
+    return list(json.loads(kept["text"].tobytes())["events"].items())
+
+
+def _draws(kept: Kept) -> EarlierDraws:
+    text = json.loads(kept["text"].tobytes())
     evidence = np.asarray(kept["evidence"], dtype=np.float64)
     return EarlierDraws(
         names=tuple(text["names"]),

@@ -17,6 +17,7 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.circumstances import EventFacts, circumstances_of
 from cassini_bayes.model.mission.mission_file import MissionTable, check_mission
 
+USED = {"used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]}
 KNOWN_DRIFT = {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}
 
 
@@ -74,6 +75,50 @@ def test_blowdown_law_follows_the_gas() -> None:
     np.testing.assert_allclose(tank.pressures_kpa(np.array([1.0, 2.0])), expected)
 
 
+LAW = {"start_kpa": 2635.0, "ullage_m3": 0.05, "density_kg_m3": 1004.0, "recharge_kpa": 2700.0}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"pressure": {"reference_kpa": 1758.0, "blowdown": LAW}}, "event late: expected a date"),
+        ({"drift": {"cm_x_m": KNOWN_DRIFT}}, r"event late: .*2010-01-01 .*; add an entry after it"),
+        (
+            {
+                "drift": {"cm_x_m": KNOWN_DRIFT},
+                "trend": {"reference_epoch": utc(2004, 12, 31)},
+            },
+            r"reference_epoch: expected a date from 2005-01-01 .*; add an entry before it",
+        ),
+    ],
+)
+def test_hydrazine_is_not_taken_beyond_its_table(given: dict[str, Any], message: str) -> None:
+    """It does not stand still after the last entry; who has its own pressure asks for none."""
+    facts = [fact("early", utc(2005, 3, 1)), fact("late", utc(2010, 3, 1), "B")]
+    with pytest.raises(InputError, match=message) as refused:
+        circumstances_of(mission_table(propellant=USED, **given), facts, "mission.toml")
+    assert "\n" not in str(refused.value)
+    own = mission_table(propellant=USED, pressure={"reference_kpa": 1758.0, "blowdown": LAW})
+    facts[1] = replace(facts[1], pressure_kpa=2000.0)
+    still = replace(facts[1], id="still", fires=False, pressure_kpa=None)
+    tank = circumstances_of(own, [*facts, still], "mission.toml").tank
+    assert np.isnan(tank.known_kpa).tolist() == [True, False, False]
+    kg = 50.0 * (utc(2005, 3, 1) - utc(2005, 1, 1)) / (utc(2010, 1, 1) - utc(2005, 1, 1))
+    expected = 2635.0 * 0.05 / (0.05 + kg / 1004.0)
+    np.testing.assert_allclose(tank.pressures_kpa(np.ones(1))[0, :2], [expected, 2000.0])
+
+
+def test_gas_at_a_recharge_before_the_table_is_unknown() -> None:
+    """The hydrazine used by then is part of the volume that the law starts anew from."""
+    used = [{"epoch": utc(2007, 1, 1), "kg": 40.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
+    with pytest.raises(InputError, match="event x: the recharge before it: expected a date"):
+        pressures(
+            [fact("x", utc(2008, 1, 1))],
+            pressure={"reference_kpa": 1758.0, "blowdown": LAW},
+            propellant={"used": used},
+        )
+
+
 @pytest.mark.parametrize(
     ("facts", "message"),
     [
@@ -88,6 +133,10 @@ def test_blowdown_law_follows_the_gas() -> None:
         (
             [fact("a", utc(2010, 3, 1), branch="A")],
             r"branch: expected branch B, in use since the swap of 2009-03-12",
+        ),
+        (
+            [fact("a", utc(2007, 3, 1)), fact("b", utc(2008, 3, 1), branch="B")],
+            r"event b: branch: expected another branch before the swap to B of 2009-03-12",
         ),
     ],
 )
@@ -141,6 +190,7 @@ def test_forecasts_that_cannot_be_are_refused(
         ),
         ({"dated": [{"epoch": utc(2009, 3, 12), "what": "swop", "source": "x"}]}, "branch_swap"),
         ({"pulse_shape": "square"}, "pulse_shape: expected one of"),
+        ({"drift": {"cm_x_m": KNOWN_DRIFT}}, r"propellant: .*which \[drift\] needs, got no such"),
         ({"spacecraft": {"nam": "voyager"}}, r"spacecraft\.nam: .*did you mean 'name'"),
     ],
 )
@@ -207,6 +257,31 @@ def test_readings_out_of_order_are_refused() -> None:
         mission_table(pressure={"reference_kpa": 1758.0, "readings": readings})
 
 
+def test_pressures_in_two_units_are_refused() -> None:
+    """A reference in psia beside readings in kPa, or a forecast or a law in psia; pressures that a
+    tank spans go through, and a forecast where the mission has none.
+    """
+    facts = [fact("a", utc(2005, 3, 1), kpa=1758.0)]
+
+    def table(reference: float, forecast: float, start: float = 2635.0) -> dict[str, Any]:
+        asked = {"epoch": utc(2012, 1, 1), "branch": "A", "pressure_kpa": forecast}
+        return {
+            "pressure": {"reference_kpa": reference, "blowdown": {**LAW, "start_kpa": start}},
+            "propellant": USED,
+            "trend": {"reference_epoch": utc(2005, 1, 1), "forecast": [asked]},
+        }
+
+    for given, message in (
+        (table(255.0, 255.0), r"1758; if the reference is psia, write 1758 kPa"),
+        (table(1758.0, 255.0), r"forecast\[1\]\.pressure_kpa: .* if it is psia, write 1758 kPa"),
+        (table(1758.0, 2000.0, 382.0), r"blowdown\.start_kpa: .* if it is psia, write 2634 kPa"),
+    ):
+        with pytest.raises(InputError, match=message):
+            pressures(facts, **given)
+    pressures(facts, **table(1000.0, 3999.0))
+    pressures(facts, **{**table(1758.0, 1.0), "pressure": None})
+
+
 def test_only_what_may_change_does() -> None:
     """A fact cannot change a thrust, and its unit has to be the parameter's."""
     events = mixed_events()
@@ -229,7 +304,7 @@ def test_a_drift_that_cannot_be_names_the_file() -> None:
     ):
         drift = {name: {**KNOWN_DRIFT, "unit": "m"}}
         with pytest.raises(InputError, match=message):
-            mission_of(mixed_events(), mission_table(drift=drift))
+            mission_of(mixed_events()[:2], mission_table(drift=drift, propellant=USED))
 
 
 def test_one_parameter_is_changed_once_at_a_moment() -> None:
@@ -270,9 +345,7 @@ def test_changes_and_drift_move_parameters() -> None:
     table = mission_table(
         dated=[{"epoch": utc(2006, 4, 10), "what": "burn", "source": "x", "change": change}],
         drift={"cm_x_m": {"loc": 0.001, "scale": 0.0, "unit": "m/kg", "source": "x"}},
-        propellant={
-            "used": [{"epoch": utc(2005, 1, 1), "kg": 0.0}, {"epoch": utc(2010, 1, 1), "kg": 50.0}]
-        },
+        propellant=USED,
     )
     model = mission_of(mixed_events()[:2], table)
     parameters = model.space.to_parameters(np.zeros((1, model.space.dimension)))
@@ -282,6 +355,26 @@ def test_changes_and_drift_move_parameters() -> None:
         assert float(np.squeeze(own["cm_z_m"])) == pytest.approx(1.064 + z_shift)
         assert float(np.squeeze(own["cm_x_m"])) == pytest.approx(0.13 + 0.001 * kg)
     assert used[1] > used[0] > 0
+
+
+@pytest.mark.parametrize("computed", [True, False])
+def test_a_factor_on_computed_hydrazine_is_one_on_drifts(computed: bool) -> None:
+    """Also where all pressures are read: 20 % more hydrazine is 20 % more drift. The factor is not
+    there where the mass was measured.
+    """
+    table = mission_table(
+        drift={"cm_x_m": KNOWN_DRIFT},
+        propellant={**USED, "computed": computed},
+    )
+    model = mission_of(mixed_events()[:2], table)
+    assert ("hydrazine_used_factor" in model.space.names) == computed
+    parameters = dict(model.space.to_parameters(np.zeros((1, model.space.dimension))))
+    if computed:
+        parameters["hydrazine_used_factor"] = np.array([1.2])
+    for part, kg in zip(model.parts, model.circumstances.used_kg, strict=True):
+        own = part.parameters_at(parameters, np.ones(1), 0.0)
+        drifted = 0.001 * (1.2 if computed else 1.0) * kg
+        assert float(np.squeeze(own["cm_x_m"])) == pytest.approx(0.13 + drifted)
 
 
 def test_two_branches_without_a_mission_are_refused() -> None:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from datetime import date
 from pathlib import Path
 
+import pytest
 import tomli_w
 from event_cases import PRIORS, simulated
+from mission_cases import mission_table, utc
 from totals_cases import ROOT
 
+from cassini_bayes.errors import InputError
 from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model.mission.inputs import read_mission
 from cassini_bayes.model.mission.mission_file import read_mission_file
@@ -30,3 +33,12 @@ def test_an_event_may_be_named_by_its_file(tmp_path: Path) -> None:
         digests.append(read_mission(file, tmp_path, "mission.toml").digests)
     assert digests[0] == digests[1]
     assert list(digests[0]) == ["bias"]
+
+
+def test_a_swap_is_to_a_branch_of_the_spacecraft(tmp_path: Path) -> None:
+    """Another one would stay unseen where no event is later. It is told before events are read."""
+    swap = {"epoch": utc(2009, 3, 12), "what": "branch_swap", "source": "x"}
+    for branch, message in (("Q", r"m: dated\[1\]\.branch: .*got 'Q'"), ("B", "events.csv")):
+        mission = mission_table(dated=[{**swap, "branch": branch}])
+        with pytest.raises(InputError, match=message):
+            read_mission(mission, tmp_path, "m")

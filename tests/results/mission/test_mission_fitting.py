@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,20 @@ def test_draws_of_one_branch_go_on_into_two() -> None:
         np.testing.assert_array_equal(found[:, place], z[:, short.space.names.index(name)])
     # only the other branch's are new, and the change of the centre of mass at the swap
     assert {names[i] for i in new} == {n for n in names if n.startswith("B.") or "_since_" in n}
+
+
+def test_branches_may_have_dots_in_their_names() -> None:
+    """The name of a branch is what the earlier mission says it is; the other branch's is new."""
+    events, _ = flight(2)
+    short = mission_of(events, mission_table(pressure=None, dated=[]), few_unknowns())
+    names = ("A.1.tau_fall_s", "A.tau_fall_s", "cm_y_m")
+    own = short.space
+    both = replace(own, names=names, distributions=own.distributions[:3], blocks=own.blocks[:3])
+    z = np.random.default_rng(6).standard_normal((5, 2))
+    earlier = EarlierDraws(("tau_fall_s", "cm_y_m"), z, np.zeros(5), {"A.1": ()}, 0.0, 0.0)
+    found, new = embedded(earlier, replace(short, space=both), np.random.default_rng(7))
+    np.testing.assert_array_equal(found[:, [0, 2]], z)
+    assert new.tolist() == [1]
 
 
 def test_draws_of_both_branches_belong_to_the_same_points() -> None:
