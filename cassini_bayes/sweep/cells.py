@@ -72,9 +72,9 @@ class Baseline:
     batches: NDArray[np.int64]
     seed: int
 
-    def stream(self, key: str) -> np.random.Generator:
+    def stream(self, name: str) -> np.random.Generator:
         """A random stream of a cell's own, the same on every machine and in every order."""
-        return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(key.encode()))))
+        return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(name.encode()))))
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def cell_arrays(
         change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
         result = _arrays("0", REWEIGHTED, weights, values, change)
         if refit == "always" or (refit == "auto" and not weights.trusted):
-            rng = baseline.stream(variation.key)
+            rng = baseline.stream(variation.name)
             kind, weights, values, batches = refitted(model, baseline.names, rng)
             change = change_between(
                 baseline.values, baseline.batches, values, weights.values, batches
@@ -157,7 +157,7 @@ def reweighted(
     inside = np.asarray(np.isfinite(z).all(-1), dtype=np.bool_)
     z = np.where(inside[:, None], z, 0.0)
     log_ratio = log_ratio + model.log_likelihood(z) - baseline.log_likelihood
-    rng = baseline.stream(f"{variation.key}: drawn back")
+    rng = baseline.stream(f"{variation.name}: drawn back")
     values = values_of(model.quantities(z, rng), baseline.names)
     return smoothed_weights(np.where(inside, log_ratio, -np.inf)), values
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -43,16 +44,21 @@ class Variation:
     event: str = ""
 
     @property
-    def key(self) -> str:
-        """Name of the cell's file: letters, digits, dots, dashes and underscores."""
+    def name(self) -> str:
+        """Name of the cell in letters, digits, dots, dashes and underscores."""
         what = {
-            "width": f"{self.amount:g}",
-            "shift": f"{'_'.join(self.parameters)}_{self.amount:+g}",
+            "width": f"{self.amount:.17g}",
+            "shift": f"{'_'.join(self.parameters)}_{self.amount:+.17g}",
             "family": self.family,
             "without": self.event,
         }[self.kind]
         text = f"{self.group}_{self.kind}_{what}".replace("+", "plus")
         return "".join(c if c.isalnum() or c in "._-" else "-" for c in text)
+
+    @property
+    def key(self) -> str:
+        """Name of the cell's file: with a digest of all that the cell changes."""
+        return f"{self.name}_{hashlib.sha256(repr(self).encode()).hexdigest()[:12]}"
 
     @property
     def label(self) -> str:

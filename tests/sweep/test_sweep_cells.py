@@ -218,6 +218,26 @@ def test_groups_that_would_share_a_file_are_refused(fitted: tuple[Factory, Fit])
         plan(factory, fit, SweepFile(group=groups), "test")
 
 
+def test_an_edited_sweep_takes_no_cell_of_the_earlier_one(fitted: tuple[Factory, Fit]) -> None:
+    """Other parameters under a group's name, or another seventh digit, are other files; what was
+    not edited keeps its own.
+    """
+    factory, fit = fitted
+
+    def files(parameters: list[str], width: float) -> list[str]:
+        grid = GridTable(widths=[0.5, width], shifts=[], families=[], events=False)
+        group = GroupTable(name="mine", parameters=parameters)
+        return list(plan(factory, fit, SweepFile(group=[group], grid=grid), "test").cells)
+
+    before = files(["cm_x_m"], 2.0)
+    assert files(["cm_x_m"], 2.0) == before
+    assert not set(files(["tau_fall_s"], 2.0)) & set(before)
+    assert not set(files(["cm_x_m", "cm_y_m"], 2.0)) & set(before)
+    edited = files(["cm_x_m"], 2.0000001)
+    assert edited[0] == before[0]
+    assert edited[1] != before[1]
+
+
 def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[Factory, Fit]) -> None:
     """A width under which a matrix cannot be factored is an input error that names the cell."""
     factory, fit = fitted
