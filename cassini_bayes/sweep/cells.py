@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import InputError
 from cassini_bayes.files.as_arrays import arrays_of
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
@@ -106,8 +105,9 @@ def cell_arrays(
     InputError
         The changed priors are so extreme that the model cannot be computed.
     """
-    try:
-        model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
+    priors = variation.applied(baseline.factory.priors)
+    with variation.named_in_errors():
+        model = baseline.factory.build(priors, variation.event)
         weights, values = reweighted(baseline, variation, model)
         change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
         result = _arrays("0", REWEIGHTED, weights, values, change)
@@ -119,13 +119,6 @@ def cell_arrays(
             )
             result |= _arrays("1", kind, weights, values, change)
         return result
-    except np.linalg.LinAlgError as error:
-        raise InputError(
-            f"sweep: {variation.group}, {variation.label}",
-            "priors under which the model can be computed",
-            str(error),
-            "leave this change out of the grid, or make it milder",
-        ) from error
 
 
 def _arrays(

@@ -248,6 +248,30 @@ def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[Factory, Fit]) -> N
         cell_arrays(study.baseline, wild, "always")
 
 
+@pytest.mark.parametrize(
+    ("block", "shift", "said"),
+    [
+        ("tail-off", -100.0, "tail-off, tau_rise_s − 100 σ: .* of the norm's probability"),
+        (CENTRE, 100.0, r"centre of mass, cm_x_m \+ 100 σ: .* torque about y is positive"),
+        ("thrust", -100.0, "thrust, thrust_common_n − 100 σ: .* a positive mean"),
+    ],
+)
+def test_a_change_too_extreme_for_prior_or_model_is_named(
+    fitted: tuple[Factory, Fit], block: str, shift: float, said: str
+) -> None:
+    """One line says which group and change it is, wherever it fails."""
+    factory, fit = fitted
+    grid = GridTable(widths=[], shifts=[shift], families=[], events=False)
+
+    def sweep() -> None:
+        study = plan(factory, fit, SweepFile(blocks=[block], grid=grid), "test")
+        for cell in study.cells.values():
+            cell_arrays(study.baseline, cell, "never")
+
+    with pytest.raises(InputError, match=f"^sweep: {said}.*or leave this change out"):
+        sweep()
+
+
 def test_quantities_are_chosen_by_name_element_and_star(
     fitted: tuple[Factory, Fit],
 ) -> None:
