@@ -63,7 +63,7 @@ TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 # Whether controllers fire before readings, or after them, is not known (the second is 1.0 to 1.3 in
 # simulations whose readings are at control cycles), nor how much their widths scatter (the third).
 OF_CONTROLLERS: Final = {
-    CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 1.0}),
+    CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 1.0}, low=0.0, high=1.0),
     PAIR_FACTOR: Distribution("lognorm", {"s": 0.8, "scale": 0.5}),
     LATE_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
     OPEN_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.0}),

@@ -21,7 +21,7 @@ from cassini_bayes.priors.reader import (
     known_parameters,
     read_priors,
 )
-from cassini_bayes.spacecraft.parameters import THRUST_LEVELS, ParameterSpec
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, THRUST_LEVELS, ParameterSpec
 
 FOLDER = Path(__file__).parents[2] / "priors"
 B_BRANCH = FOLDER / "cassini_b_branch_2010.toml"
@@ -301,6 +301,27 @@ def test_scaled_priors_stay_where_a_parameter_can_be(priors: Priors) -> None:
     plain = Distribution("norm", {"loc": 0.5, "scale": 0.1})
     changed = priors.with_distribution("tau_rise_s", plain).scaled(["tau_rise_s"], width=4.0)
     assert changed.parameters["tau_rise_s"].distribution == plain.scaled(4.0)
+
+
+@pytest.mark.parametrize("file", ["a_branch_telemetry", "b_branch_telemetry", "hybrid_2012"])
+def test_a_share_of_pulses_stays_a_share_in_a_sweep(file: str) -> None:
+    """Written in the file or built in: wider or moved it stays between 0 and 1, and bounds at its
+    own ends leave it the uniform that it is.
+    """
+    priors = read_priors(FOLDER / f"cassini_{file}.toml")
+    for width, shift in ((2.0, 0.0), (1.0, 1.0), (4.0, -1.0)):
+        found = priors.scaled([CLOSE_SHARE], width, shift).parameters[CLOSE_SHARE].distribution
+        assert found is not None
+        assert found.support[0] >= 0.0
+        assert found.support[1] <= 1.0
+    own, z = priors.parameters[CLOSE_SHARE].distribution, np.linspace(-9.0, 9.0, 101)
+    plain = Distribution("uniform", {"loc": 0.0, "scale": 1.0})
+    assert own is not None
+    assert np.array_equal(own.quantile_of_standard(z), plain.quantile_of_standard(z))
+    shares = own.quantile_of_standard(z)
+    assert np.array_equal(own.standard_of(shares), plain.standard_of(shares))
+    assert np.array_equal(own.log_density(shares), plain.log_density(shares))
+    assert (own.mean(), own.sd()) == (plain.mean(), plain.sd())
 
 
 def test_priors_and_spaces_can_be_copied_to_workers(priors: Priors) -> None:
