@@ -110,8 +110,9 @@ class Priors:
 
     ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
     of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
-    an earlier fit that stand in for the priors of what it walked (``from_fit``). ``of_branches``
-    are priors that hold for one thruster branch only (``[branch.A.parameters.…]``).
+    an earlier fit that stand in for the priors of what it walked (``from_fit``). ``parameters`` are
+    those of the thruster branch ``branch``; ``of_branches`` are what differs between branches
+    (``[branch.A.parameters.…]``), for every branch all that it has of them.
     """
 
     spacecraft: Spacecraft
@@ -133,8 +134,11 @@ class Priors:
 
     def for_branch(self, branch: str) -> Priors:
         """The priors of one thruster branch: its own ones, and those that hold for all."""
-        table = self.of_branches.get(branch, {})
-        return replace(self, branch=branch, parameters={**self.parameters, **table})
+        if branch == self.branch:
+            return self
+        before, after = (self.of_branches.get(name, {}) for name in (self.branch, branch))
+        kept = {n: p for n, p in self.parameters.items() if n in after or n not in before}
+        return replace(self, branch=branch, parameters={**kept, **after})
 
     def require(self, names: Iterable[str], why: str) -> None:
         """Check that the file has every parameter in ``names``.
@@ -285,17 +289,23 @@ def read_priors(path: str | Path) -> Priors:
             spec, prior = known_parameters(spacecraft)[name], OF_CONTROLLERS[name]
             source = "not in the file: any that controllers were seen to have"
             parameters[name] = ParameterPrior(spec, prior, None, source)
+    branch = _read_branch(f"{path}: spacecraft.branch", table_of_file.get("branch"), spacecraft)
+    tables = _read_branches(str(path), document.get("branch", {}), spacecraft)
+    differing = dict.fromkeys(name for table in tables.values() for name in table)
+    shared = {name: parameters[name] for name in differing if name in parameters}
+    of_branches = {name: {**shared, **tables.get(name, {})} for name in spacecraft.branches}
+    parameters |= of_branches[branch]
     wheels = _read_wheels(f"{path}: spacecraft.wheels", table_of_file.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")
     priors = Priors(
         spacecraft=turned,
-        branch=_read_branch(f"{path}: spacecraft.branch", table_of_file.get("branch"), spacecraft),
+        branch=branch,
         wheels=wheels,
         parameters=parameters,
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),
-        of_branches=_read_branches(str(path), document.get("branch", {}), spacecraft),
+        of_branches=of_branches,
     )
     return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
 

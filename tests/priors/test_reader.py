@@ -6,13 +6,17 @@ import copy
 import hashlib
 import math
 import re
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mission_cases import mixed_events
 from scipy import stats
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.model import build_model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import (
     ParameterPrior,
@@ -286,6 +290,36 @@ def test_variants_are_new_objects(priors: Priors) -> None:
         priors.with_fixed("cm_x_m", math.nan)
     with pytest.raises(TypeError):
         priors.parameters["cm_x_m"] = changed.parameters["cm_x_m"]  # type: ignore[index]
+
+
+def test_priors_of_a_branch_are_those_of_a_fit_of_it(tmp_path: Path) -> None:
+    """A file that names branch A gives the A branch's own priors to a model of A; either file gives
+    a mission the same of both branches, and what one branch alone has is no prior of the other.
+    """
+    text = (FOLDER / "cassini_mission.toml").read_text("utf-8")
+    tables = tomllib.loads(text)
+    alone = '[branch.A.parameters.mass_kg]\nfixed = 2500.0\nunit = "kg"\nsource = "made up"\n'
+    files = {}
+    for branch in "AB":
+        path = tmp_path / f"{branch}.toml"
+        path.write_text(text.replace('branch = "B"', f'branch = "{branch}"') + alone, "utf-8")
+        files[branch] = read_priors(path)
+    for branch, own in files.items():
+        loc = {"A": tables["branch"]["A"]["parameters"], "B": tables["parameters"]}[branch]
+        for name in ("thrust_common_n", "thruster_ly_m", "tau_fall_s"):
+            found = own.parameters[name].distribution
+            assert found is not None
+            assert found.loc == loc[name]["loc"]
+        assert own.parameters["cm_x_m"] == files["B"].parameters["cm_x_m"]
+        assert ("mass_kg" in own.parameters) == (branch == "A")
+        for other in "AB":
+            assert dict(own.for_branch(other).parameters) == dict(files[other].parameters)
+            assert dict(own.for_branch(other).for_branch(branch).parameters) == dict(own.parameters)
+    wide = files["A"].scaled(["thruster_ly_m"], width=2.0)
+    assert wide.for_branch("A") == wide
+    space = build_model(mixed_events()[:2], replace(files["A"], wheels=(1, 2, 3))).space
+    model = dict(zip(space.names, space.distributions, strict=True))
+    assert model["thruster_ly_m"].loc == 1.58
 
 
 def test_scaled_priors_stay_where_a_parameter_can_be(priors: Priors) -> None:
