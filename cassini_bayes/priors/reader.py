@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,8 @@ from scipy.special import ndtr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known, closest, finite_number, nearest
-from cassini_bayes.files.toml_file import toml_bytes, toml_of
+from cassini_bayes.files.reading import exists
+from cassini_bayes.files.toml_file import read_toml, toml_bytes, toml_of
 from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.priors.parameter_space import ParameterSpace
@@ -308,6 +310,18 @@ def read_priors(path: str | Path) -> Priors:
         of_branches=of_branches,
     )
     return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
+
+
+def spacecraft_file_of(name: str, path: Path) -> tuple[str, Path] | None:
+    """The spacecraft file that the priors at ``path`` name, if they name one that is there.
+
+    Its name, as of one who calls the priors ``name``, and its place.
+    """
+    table = read_toml(path, "a priors file").get("spacecraft")
+    file = table.get("file") if isinstance(table, dict) else None
+    if not isinstance(file, str) or not exists(place := path.parent / file):
+        return None
+    return os.path.normpath(Path(name).parent / file), place
 
 
 def _read_parameters(
