@@ -127,6 +127,7 @@ def _none_hypothesis(events: Events) -> Hypothesis:
     if events.telemetry:
         priors = priors.with_fixed(TORQUE_NOISE, 0.0)
     model = build_model(events.all, priors, keep_idle=True)
+    model.require_walked()
     return Hypothesis(NONE, model, events.catalogue.odds.none)
 
 

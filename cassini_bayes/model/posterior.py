@@ -153,6 +153,22 @@ class Model(Shared):
             starts += [starts[-1] + side * of_tail for side in _TAIL_STARTS]
         return np.stack(starts)
 
+    def require_walked(self) -> None:
+        """Check that something is walked.
+
+        Raises
+        ------
+        InputError
+            All is fixed or integrated out: there is nothing to search or to sample.
+        """
+        if not self.space.names:
+            raise InputError(
+                f"{self.priors.path}: parameters",
+                "a distribution for a parameter that is walked (thrusts and torques are not)",
+                "all of them fixed",
+                f"give one a distribution, e.g. {next(iter(self.space.fixed))}",
+            )
+
     def points(self, z: Array) -> Points:
         """Every parameter the physics may ask for at walked coordinates z (n, d)."""
         return self.points_at(self.space.to_parameters(z), len(z))

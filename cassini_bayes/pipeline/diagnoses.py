@@ -38,7 +38,7 @@ from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import library_versions, read_provenance, recorded
 from cassini_bayes.pipeline.run import CHECKPOINT, open_folder
 from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, PROVENANCE, RESOLVED
-from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.reader import Priors, spacecraft_file_of
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 
@@ -340,12 +340,17 @@ def _opened(
 
 
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:
-    """SHA-256 of the files that were read, of every telemetry event and its channel map."""
+    """SHA-256 of the files that were read, of every telemetry event and its channel map.
+
+    A spacecraft file is named beside the priors that name it.
+    """
     given = [event for event in events if not isinstance(event, READ)]
     references = [str(name) for name in given if not is_event_folder(Path(name))]
     tables = [split_reference(reference)[0] for reference in references]
     files = [str(path) for path in (priors, *tables) if not isinstance(path, Priors)]
-    return {path: digest(Path(path)) for path in files} | dict(case.digests)
+    result = {path: digest(Path(path)) for path in files} | dict(case.digests)
+    own = None if isinstance(priors, Priors) else spacecraft_file_of(str(priors), Path(priors))
+    return result if own is None else {**result, own[0]: digest(own[1])}
 
 
 def _case(

@@ -19,7 +19,7 @@ from cassini_bayes.model.gather import read_reference, together
 from cassini_bayes.model.posterior import Event, Model
 from cassini_bayes.pipeline.models import model_of
 from cassini_bayes.pipeline.run_file import RunFile
-from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.priors.reader import Priors, read_priors, spacecraft_file_of
 
 STATISTICS: Final = "statistics"
 """Folder of a run that keeps its reduced telemetry."""
@@ -76,6 +76,8 @@ def read_inputs(
     priors_path = base / run.priors
     priors = read_priors(priors_path)
     digests = {run.priors: digest(priors_path)}
+    if (own := spacecraft_file_of(run.priors, priors_path)) is not None:
+        digests[own[0]] = priors.spacecraft.digest
     if priors.earlier is not None:
         digests[priors.earlier.path] = priors.earlier.digest
     given: dict[str, str] = {}

@@ -127,13 +127,21 @@ def model_of(
     kinds: Kinds | None = None,
     where: str = "effects",
 ) -> Model:
-    """The model of events that are ready, its effects as they are or by name, given ``where``."""
+    """The model of events that are ready, its effects as they are or by name, given ``where``.
+
+    Raises
+    ------
+    InputError
+        As :func:`build_model`; nothing is walked, so that there is nothing to sample.
+    """
     names = [effect for effect in effects if isinstance(effect, str)]
     given = [effect for effect in effects if not isinstance(effect, str)]
     wheels = sorted({number for event in events for number in event.wheels})
     inputs = ["totals" if isinstance(event, TotalsEvent) else "telemetry" for event in events]
     shown, order = tuple(dict.fromkeys(inputs)), in_order_of_time(events)
     named = named_effects(names, priors, wheels, shown, kinds, where, order)
-    return posterior.build_model(
+    model = posterior.build_model(
         events, priors, pulse_shape=pulse_shape, delta_v=delta_v, effects=(*given, *named)
     )
+    model.require_walked()
+    return model

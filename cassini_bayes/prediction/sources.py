@@ -33,7 +33,7 @@ from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.demand import pair_layout
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.physics import physics_of_fit
-from cassini_bayes.priors.reader import Priors, read_priors
+from cassini_bayes.priors.reader import Priors, read_priors, spacecraft_file_of
 from cassini_bayes.results.record import Fit
 
 FIT_DRAWS = 2_000
@@ -254,8 +254,8 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
     """The file or event folder that a run names, looked for from the run file's folder on.
 
     Where that has moved, from the folder that holds the run, from the current one, and from the
-    run's own. It has the digest that the run wrote down. ``priors`` say of which spacecraft an
-    event folder is.
+    run's own. It has the digest that the run wrote down, and so has the spacecraft file that a
+    priors file names. ``priors`` say of which spacecraft an event folder is.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         )
     folder = record_folder(fit)
     digests, first = _recorded(folder)
-    changed: list[str] = []
+    changed: list[tuple[str, Path]] = []
     for base in (*(folder / own for own in first), fit.parent.parent, Path(), fit.parent):
         path = Path(event_path(os.path.normpath(base / name)))
         if priors is not None and exists(path / DESCRIPTION):
@@ -279,14 +279,19 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
             if not exists(file) or not file.is_file():
                 continue
             known, found = digests.get(table), digest(file)
-        if known in (None, found):
+        if known not in (None, found):
+            changed.append((name, path))
+            continue
+        own = spacecraft_file_of(name, path) if priors is None else None
+        if own is None or digests.get(own[0]) in (None, digest(own[1])):
             return path
-        changed.append(str(path))
+        changed.append(own)
+    what, place = changed[0] if changed else (name, None)
     raise InputError(
         str(fit),
-        f"{name} as it was when the fit was made",
-        f"{changed[0]}, which has changed" if changed else "no such file",
-        f"name it with {option}, or run the fit again",
+        f"{what} as it was when the fit was made",
+        "no such file" if place is None else f"{place}, which has changed",
+        f"name {'it' if what == name else 'other priors'} with {option}, or run the fit again",
     )
 
 

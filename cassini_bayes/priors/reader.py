@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +22,8 @@ from scipy.special import ndtr
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checks import check_known, closest, finite_number, nearest
-from cassini_bayes.files.toml_file import toml_bytes, toml_of
+from cassini_bayes.files.reading import exists
+from cassini_bayes.files.toml_file import read_toml, toml_bytes, toml_of
 from cassini_bayes.priors.chaining import EarlierFit, read_earlier
 from cassini_bayes.priors.distributions import Distribution, check_bounds, check_keywords
 from cassini_bayes.priors.parameter_space import ParameterSpace
@@ -69,7 +71,7 @@ TELEMETRY_NOISE: Final = "torque_noise_n_m_s05"
 # Whether controllers fire before readings, or after them, is not known (the second is 1.0 to 1.3 in
 # simulations whose readings are at control cycles), nor how much their widths scatter (the third).
 OF_CONTROLLERS: Final = {
-    CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 1.0}),
+    CLOSE_SHARE: Distribution("uniform", {"loc": 0.0, "scale": 1.0}, low=0.0, high=1.0),
     PAIR_FACTOR: Distribution("lognorm", {"s": 0.8, "scale": 0.5}),
     LATE_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.1}),
     OPEN_FACTOR: Distribution("lognorm", {"s": 0.5, "scale": 1.0}),
@@ -116,8 +118,9 @@ class Priors:
 
     ``path`` is the file as the user named it, ``digest`` the SHA-256 of its bytes; both stay those
     of the file when :meth:`with_distribution` makes a variant of it. ``earlier`` are the moments of
-    an earlier fit that stand in for the priors of what it walked (``from_fit``). ``of_branches``
-    are priors that hold for one thruster branch only (``[branch.A.parameters.…]``).
+    an earlier fit that stand in for the priors of what it walked (``from_fit``). ``parameters`` are
+    those of the thruster branch ``branch``; ``of_branches`` are what differs between branches
+    (``[branch.A.parameters.…]``), for every branch all that it has of them.
     """
 
     spacecraft: Spacecraft
@@ -139,8 +142,11 @@ class Priors:
 
     def for_branch(self, branch: str) -> Priors:
         """The priors of one thruster branch: its own ones, and those that hold for all."""
-        table = self.of_branches.get(branch, {})
-        return replace(self, branch=branch, parameters={**self.parameters, **table})
+        if branch == self.branch:
+            return self
+        before, after = (self.of_branches.get(name, {}) for name in (self.branch, branch))
+        kept = {n: p for n, p in self.parameters.items() if n in after or n not in before}
+        return replace(self, branch=branch, parameters={**kept, **after})
 
     def require(self, names: Iterable[str], why: str) -> None:
         """Check that the file has every parameter in ``names``.
@@ -291,19 +297,37 @@ def read_priors(path: str | Path) -> Priors:
             spec, prior = known_parameters(spacecraft)[name], OF_CONTROLLERS[name]
             source = "not in the file: any that controllers were seen to have"
             parameters[name] = ParameterPrior(spec, prior, None, source)
+    branch = _read_branch(f"{path}: spacecraft.branch", table_of_file.get("branch"), spacecraft)
+    tables = _read_branches(str(path), document.get("branch", {}), spacecraft)
+    differing = dict.fromkeys(name for table in tables.values() for name in table)
+    shared = {name: parameters[name] for name in differing if name in parameters}
+    of_branches = {name: {**shared, **tables.get(name, {})} for name in spacecraft.branches}
+    parameters |= of_branches[branch]
     wheels = _read_wheels(f"{path}: spacecraft.wheels", table_of_file.get("wheels"), spacecraft)
     turned = spacecraft.with_platforms(parameters)
     turned.check_platforms(wheels, f"{path}: parameters")
     priors = Priors(
         spacecraft=turned,
-        branch=_read_branch(f"{path}: spacecraft.branch", table_of_file.get("branch"), spacecraft),
+        branch=branch,
         wheels=wheels,
         parameters=parameters,
         path=str(path),
         digest=hashlib.sha256(content).hexdigest(),
-        of_branches=_read_branches(str(path), document.get("branch", {}), spacecraft),
+        of_branches=of_branches,
     )
     return _chained(priors, document["from_fit"]) if "from_fit" in document else priors
+
+
+def spacecraft_file_of(name: str, path: Path) -> tuple[str, Path] | None:
+    """The spacecraft file that the priors at ``path`` name, if they name one that is there.
+
+    Its name, as of one who calls the priors ``name``, and its place.
+    """
+    table = read_toml(path, "a priors file").get("spacecraft")
+    file = table.get("file") if isinstance(table, dict) else None
+    if not isinstance(file, str) or not exists(place := path.parent / file):
+        return None
+    return os.path.normpath(Path(name).parent / file), place
 
 
 def _read_parameters(

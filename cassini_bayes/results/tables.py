@@ -75,16 +75,19 @@ def summarise(fit: Fit) -> pd.DataFrame:
 
     Chains are ensembles. Split R-hat is ArviZ's, effective sample sizes are the smaller of ArviZ's
     over ensembles and over walkers (:func:`cassini_bayes.sampling.ensembles.stored_ess`).
+    Importance draws (of a mission) have no walkers and are one chain, so that R-hat is NaN.
     """
     posterior, prior = fit.posterior, fit.prior
-    walkers = int(fit.attributes["walkers"])
+    walkers = int(fit.attributes.get("walkers", 1))
     rows = []
     for quantity, everywhere in posterior.data_vars.items():
         variable = _where_it_is(everywhere)
         dims = [str(dim) for dim in variable.dims[2:]]
         before = prior[quantity].sel({dim: variable.coords[dim] for dim in dims})
         alone = variable.to_dataset(name=str(quantity))
-        rhat, error = arviz().rhat(alone)[quantity], arviz().mcse(alone, method="mean")[quantity]
+        error = arviz().mcse(alone, method="mean")[quantity]
+        is_one = posterior.sizes["chain"] == 1
+        rhat = xr.full_like(error, np.nan) if is_one else arviz().rhat(alone)[quantity]
         for place in np.ndindex(variable.shape[2:]):
             labels = {
                 dim: str(variable.coords[dim].values[i]) for dim, i in zip(dims, place, strict=True)

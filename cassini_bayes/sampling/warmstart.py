@@ -25,6 +25,8 @@ LogDensity = Callable[[Array], Array]
 
 TRUSTED_K: Final = 0.7
 """Pareto k̂ of importance weights up to which an estimate is relied upon: Vehtari et al. 2024."""
+ALL_ALIKE: Final = 1e-10
+"""Nats: weights that differ by rounding alone have no tail to fit."""
 # Steps in prior standard deviations, then in the posterior's once its axes are known.
 GRADIENT_STEP: Final = 1e-4
 HESSIAN_STEP: Final = 2e-2
@@ -246,7 +248,9 @@ def weighted(z: Array, log_ratio: Array) -> ImportanceDraws:
 
 
 def pareto_k(log_weights: Array) -> float:
-    """Tail index of importance weights, by Pareto-smoothed importance sampling."""
+    """Tail index of importance weights, by Pareto-smoothed importance sampling; 0 of equal ones."""
+    if np.ptp(log_weights) < ALL_ALIKE:
+        return 0.0
     # Candidate tails far from the data have likelihoods below the smallest float: weight zero.
     with np.errstate(over="ignore"):
         _, shape = arviz().psislw(log_weights)

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.errors import InputError
 from cassini_bayes.files.as_arrays import arrays_of
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.quantiles import standard_normal_log_density
@@ -72,9 +71,9 @@ class Baseline:
     batches: NDArray[np.int64]
     seed: int
 
-    def stream(self, key: str) -> np.random.Generator:
+    def stream(self, name: str) -> np.random.Generator:
         """A random stream of a cell's own, the same on every machine and in every order."""
-        return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(key.encode()))))
+        return np.random.default_rng(np.random.SeedSequence((self.seed, zlib.crc32(name.encode()))))
 
 
 @dataclass(frozen=True)
@@ -106,26 +105,20 @@ def cell_arrays(
     InputError
         The changed priors are so extreme that the model cannot be computed.
     """
-    try:
-        model = baseline.factory.build(variation.applied(baseline.factory.priors), variation.event)
+    priors = variation.applied(baseline.factory.priors)
+    with variation.named_in_errors():
+        model = baseline.factory.build(priors, variation.event)
         weights, values = reweighted(baseline, variation, model)
         change = change_on_same_draws(baseline.values, values, weights.values, baseline.batches)
         result = _arrays("0", REWEIGHTED, weights, values, change)
         if refit == "always" or (refit == "auto" and not weights.trusted):
-            rng = baseline.stream(variation.key)
+            rng = baseline.stream(variation.name)
             kind, weights, values, batches = refitted(model, baseline.names, rng)
             change = change_between(
                 baseline.values, baseline.batches, values, weights.values, batches
             )
             result |= _arrays("1", kind, weights, values, change)
         return result
-    except np.linalg.LinAlgError as error:
-        raise InputError(
-            f"sweep: {variation.group}, {variation.label}",
-            "priors under which the model can be computed",
-            str(error),
-            "leave this change out of the grid, or make it milder",
-        ) from error
 
 
 def _arrays(
@@ -157,7 +150,7 @@ def reweighted(
     inside = np.asarray(np.isfinite(z).all(-1), dtype=np.bool_)
     z = np.where(inside[:, None], z, 0.0)
     log_ratio = log_ratio + model.log_likelihood(z) - baseline.log_likelihood
-    rng = baseline.stream(f"{variation.key}: drawn back")
+    rng = baseline.stream(f"{variation.name}: drawn back")
     values = values_of(model.quantities(z, rng), baseline.names)
     return smoothed_weights(np.where(inside, log_ratio, -np.inf)), values
 

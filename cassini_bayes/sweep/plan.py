@@ -120,9 +120,9 @@ def plan(
 
 def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
     """Cells by the name of their file; names that only signs tell apart are refused."""
-    result: dict[str, Variation] = {}
+    by_name: dict[str, Variation] = {}
     for cell in cells:
-        other = result.setdefault(cell.key, cell)
+        other = by_name.setdefault(cell.name, cell)
         if other != cell:
             raise InputError(
                 f"{where}: group",
@@ -130,7 +130,7 @@ def _by_key(cells: Iterable[Variation], where: str) -> dict[str, Variation]:
                 f"{other.group}, {other.label} beside {cell.group}, {cell.label}",
                 "rename one of them",
             )
-    return result
+    return {cell.key: cell for cell in by_name.values()}
 
 
 def _kept(fit: Fit, draws: int) -> NDArray[np.int64]:

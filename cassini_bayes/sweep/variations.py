@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from cassini_bayes.errors import InputError
+import numpy as np
+
+from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import ZERO_CENTRED, Priors
@@ -43,16 +47,21 @@ class Variation:
     event: str = ""
 
     @property
-    def key(self) -> str:
-        """Name of the cell's file: letters, digits, dots, dashes and underscores."""
+    def name(self) -> str:
+        """Name of the cell in letters, digits, dots, dashes and underscores."""
         what = {
-            "width": f"{self.amount:g}",
-            "shift": f"{'_'.join(self.parameters)}_{self.amount:+g}",
+            "width": f"{self.amount:.17g}",
+            "shift": f"{'_'.join(self.parameters)}_{self.amount:+.17g}",
             "family": self.family,
             "without": self.event,
         }[self.kind]
         text = f"{self.group}_{self.kind}_{what}".replace("+", "plus")
         return "".join(c if c.isalnum() or c in "._-" else "-" for c in text)
+
+    @property
+    def key(self) -> str:
+        """Name of the cell's file: with a digest of all that the cell changes."""
+        return f"{self.name}_{hashlib.sha256(repr(self).encode()).hexdigest()[:12]}"
 
     @property
     def label(self) -> str:
@@ -65,18 +74,43 @@ class Variation:
         return self.family if self.kind == "family" else f"without {self.event}"
 
     def applied(self, priors: Priors) -> Priors:
-        """The priors of the cell."""
-        if self.kind == "width":
-            return priors.scaled(self.parameters, width=self.amount)
-        if self.kind == "shift":
-            return priors.scaled(self.parameters, shift=self.amount)
-        if self.kind == "family":
-            for name in self.parameters:
-                distribution = priors.parameters[name].distribution
-                if distribution is not None:
-                    changed = with_family(distribution, self.family)
-                    priors = priors.with_distribution(name, changed)
-        return priors
+        """The priors of the cell.
+
+        Raises
+        ------
+        InputError
+            No prior can be changed so; the message names group and change.
+        """
+        with self.named_in_errors():
+            if self.kind == "width":
+                return priors.scaled(self.parameters, width=self.amount)
+            if self.kind == "shift":
+                return priors.scaled(self.parameters, shift=self.amount)
+            if self.kind == "family":
+                for name in self.parameters:
+                    distribution = priors.parameters[name].distribution
+                    if distribution is not None:
+                        changed = with_family(distribution, self.family)
+                        priors = priors.with_distribution(name, changed)
+            return priors
+
+    @contextmanager
+    def named_in_errors(self) -> Iterator[None]:
+        """What a change is too extreme for is an input error that names group and change."""
+        where, fix = f"sweep: {self.group}, {self.label}", "leave this change out of the grid"
+        try:
+            yield
+        except InputError as error:
+            raise InputError(
+                f"{where}: {error.where}", error.expected, error.got, f"{error.fix}, or {fix}"
+            ) from error
+        except (CassiniBayesError, np.linalg.LinAlgError) as error:
+            raise InputError(
+                where,
+                "priors under which the model can be computed",
+                str(error),
+                f"{fix}, or make it milder",
+            ) from error
 
 
 def with_family(distribution: Distribution, family: str) -> Distribution:

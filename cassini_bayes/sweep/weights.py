@@ -12,14 +12,13 @@ from scipy.special import logsumexp
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.arviz_import import arviz
-from cassini_bayes.sampling.warmstart import TRUSTED_K
+from cassini_bayes.sampling.warmstart import ALL_ALIKE, TRUSTED_K
 
 FEWEST_DRAWS: Final = 400.0
 """Effective, below which an answer is not trusted: a mean is then good to a twentieth of its
 standard deviation (400^-½)."""
 BATCHES: Final = 10  # of consecutive draws, in every chain
 QUANTILES: Final = (np.arange(199) + 1.0) / 200.0
-_ALL_ALIKE: Final = 1e-10  # nats: weights that differ by rounding alone have no tail to fit
 _FEWEST_IN_SUPPORT: Final = 50  # draws: fewer leave no tail of ten to fit k̂ to (judgement)
 
 
@@ -75,7 +74,7 @@ def smoothed_weights(log_ratio: Array) -> Weights:
     if inside.sum() < _FEWEST_IN_SUPPORT:
         return Weights(np.full(len(log_ratio), np.nan), np.inf, 0.0)
     kept = log_ratio[inside]
-    if np.ptp(kept) < _ALL_ALIKE:
+    if np.ptp(kept) < ALL_ALIKE:
         smoothed, k = np.zeros(len(kept)), 0.0
     else:
         # 1 / Σ exp(ΔL) of ArviZ's fit overflows where a trial of it is far from the best: 1/inf is

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import tomllib
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 import run_cases
+import tomli_w
 from event_cases import PRIORS, ROOT, priors, simulated
 from run_cases import FLIGHT, command, small_table
+from totals_cases import flight
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arviz_import import arviz, corner
@@ -21,6 +25,7 @@ from cassini_bayes.model import log_posterior
 from cassini_bayes.pipeline import fits
 from cassini_bayes.pipeline.fits import FitResult
 from cassini_bayes.prediction.sources import read_sources, sources_of
+from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.report import sections_of
 from cassini_bayes.results.review import Review
 
@@ -287,3 +292,31 @@ def test_seeds_are_checked_by_every_call(tmp_path: Path) -> None:
         cb.simulate(scenario, seed=-1)
     with pytest.raises(InputError, match="seed: expected a whole number from 0"):
         cb.plan(tmp_path, "thrust_mean_n", seed=-1)
+
+
+@pytest.mark.parametrize("verb", [cb.fit, cb.check, cb.diagnose])
+def test_priors_with_nothing_to_walk_are_refused(verb: Callable[..., object]) -> None:
+    """Thrusts alone have distributions: one line names the file and what to give one."""
+    rows, known = flight(1)
+    for name, prior in known.parameters.items():
+        if prior.distribution is not None and not name.startswith("thrust_"):
+            known = known.with_fixed(name, prior.median)
+    with pytest.raises(InputError, match=r"all of them fixed; give one a distribution, e\.g\. t"):
+        verb(rows, known)
+
+
+def test_a_run_with_nothing_to_walk_leaves_no_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Refused before anything is written."""
+    priors_of_run = tomllib.loads(run_cases.B_BRANCH.read_text("utf-8"))
+    medians = read_priors(run_cases.B_BRANCH).medians(priors_of_run["parameters"])
+    for name, own in priors_of_run["parameters"].items():
+        if "dist" in own and not name.startswith("thrust_"):
+            kept = {key: own[key] for key in ("unit", "source")}
+            priors_of_run["parameters"][name] = {"fixed": medians[name], **kept}
+    (tmp_path / "fixed.toml").write_text(tomli_w.dumps(priors_of_run), "utf-8")
+    run = run_cases.write_run(tmp_path, {**small_table(), "priors": "fixed.toml"})
+    assert command(["run", str(run), "--quiet"]) == 2
+    assert "all of them fixed" in capsys.readouterr().err
+    assert not (tmp_path / "small").exists()

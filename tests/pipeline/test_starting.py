@@ -19,6 +19,7 @@ from cassini_bayes.model.nominal import nominal_values
 from cassini_bayes.pipeline.run_file import read_run_file
 from cassini_bayes.pipeline.starting import PROPOSED, write_starting_files
 from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "docs" / "examples" / "own_csv"
@@ -40,6 +41,16 @@ def test_the_files_are_valid_at_once(tmp_path: Path, spacecraft: str) -> None:
     assert (event["branch"], tuple(event["wheels"])) == (priors.branch, priors.wheels)
     shown = (folder / "channels.toml").read_text()
     assert all(name in shown for name in priors.spacecraft.thruster_names(priors.branch))
+
+
+@pytest.mark.parametrize("spacecraft", ["cassini", str(TWELVE)])
+def test_a_share_that_it_writes_stays_one_in_a_sweep(tmp_path: Path, spacecraft: str) -> None:
+    """The share of close pulses is bounded in the file: made wider it allows no more than 1."""
+    write_starting_files(tmp_path / "mine", spacecraft)
+    wide = read_priors(tmp_path / "mine" / "priors.toml").scaled([CLOSE_SHARE], width=2.0)
+    found = wide.parameters[CLOSE_SHARE].distribution
+    assert found is not None
+    assert found.support == (0.0, 1.0)
 
 
 def test_matches_are_proposed_and_not_in_force(tmp_path: Path) -> None:

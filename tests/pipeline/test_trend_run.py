@@ -14,6 +14,7 @@ import xarray as xr
 from totals_cases import FLIGHT, ROOT
 from typer.testing import CliRunner, Result
 
+import cassini_bayes as cb
 from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.model.mission.inputs import read_mission
@@ -182,7 +183,9 @@ def test_another_spacecraft_and_an_event_twice_are_refused(tmp_path: Path, prior
         read_mission(read_mission_file(path), tmp_path, "mission.toml")
 
 
-def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> None:
+def test_events_of_both_branches_in_one_fit(
+    tmp_path: Path, priors: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """`fit --mission` takes a mix that a fit refuses; fit.nc has the coordinate `branch`."""
     text = Path(FLIGHT).read_text("utf-8").splitlines()
     own = next(row for row in text if row.startswith(IDS[0]) and row.endswith("flight"))
@@ -208,6 +211,12 @@ def test_events_of_both_branches_in_one_fit(tmp_path: Path, priors: Path) -> Non
     assert np.isfinite(thrust.values).all()
     assert (thrust.std(("chain", "draw")) < before.std(("chain", "draw")) * 1.2).all()
     assert {"A.tau_fall_s", "B.tau_fall_s", "cm_y_m"} <= set(fit.posterior.data_vars)
+    told = cb.read_fit(out / "fit.nc").summary().set_index("name")
+    tail = fit.posterior["B.tau_fall_s"].values
+    assert told.loc["B.tau_fall_s", "mean"] == pytest.approx(tail.mean())
+    assert told.loc["B.tau_fall_s", "ess_bulk"] > 0.3 * tail.size
+    assert told["rhat"].isna().all()
+    assert not caplog.records
     assert np.isfinite(fit.groups["log_likelihood"]["event_data"].values).all()
     observed = fit.groups["observed_data"]["on_time_s"].values
     simulated = fit.groups["posterior_predictive"]["on_time_s"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import read_event
 from cassini_bayes.files.storage import digest
+from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.prediction.sources import learn_from_fit, locate, read_sources, sources_of
 
 
@@ -35,6 +38,37 @@ def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
     table.unlink()
     with pytest.raises(InputError, match="got no such file; name it with --priors"):
         locate(run / "fit.nc", "inputs/priors.toml", "--priors")
+
+
+def test_a_spacecraft_file_that_has_changed_is_named(tmp_path: Path) -> None:
+    """Of a spacecraft in a file of its own, draws are taken with that file as it was alone: it is
+    in the record beside the priors, and records without it are taken as before.
+    """
+    craft, priors = tmp_path / "craft" / "mine.toml", tmp_path / "inputs" / "priors.toml"
+    for path in (craft, priors):
+        path.parent.mkdir()
+    craft.write_bytes((resources.files("cassini_bayes.spacecraft") / "cassini.toml").read_bytes())
+    priors.write_text(
+        B_BRANCH.read_text().replace('name = "cassini"', 'file = "../craft/mine.toml"')
+    )
+    events = f"{FLIGHT}:2009-08-22-bias"
+    said = check_run({"events": [events], "priors": "inputs/priors.toml"}, "run.toml")
+    before = read_inputs(said, tmp_path).digests
+    assert before["craft/mine.toml"] == digest(craft)
+    fit = tmp_path / "run" / "fit.nc"
+    fit.parent.mkdir()
+    record = {"sha256": dict(before), "base": ".."}
+    (fit.parent / "provenance.json").write_text(json.dumps(record))
+    assert locate(fit, "inputs/priors.toml", "--priors") == priors
+    craft.write_text(craft.read_text() + "\n# changed\n")
+    changed = r"expected craft/mine.toml as it was .*got .*craft/mine.toml, which has changed"
+    with pytest.raises(InputError, match=changed):
+        locate(fit, "inputs/priors.toml", "--priors")
+    after = read_inputs(said, tmp_path).digests
+    assert [name for name in after if after[name] != before[name]] == ["craft/mine.toml"]
+    del record["sha256"]["craft/mine.toml"]
+    (fit.parent / "provenance.json").write_text(json.dumps(record))
+    assert locate(fit, "inputs/priors.toml", "--priors") == priors
 
 
 def test_an_event_named_by_its_file_is_found_and_read(tmp_path: Path) -> None:

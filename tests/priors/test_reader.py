@@ -6,13 +6,17 @@ import copy
 import hashlib
 import math
 import re
+import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mission_cases import mixed_events
 from scipy import stats
 
 from cassini_bayes.errors import InputError
+from cassini_bayes.model import build_model
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import (
     ParameterPrior,
@@ -21,7 +25,7 @@ from cassini_bayes.priors.reader import (
     known_parameters,
     read_priors,
 )
-from cassini_bayes.spacecraft.parameters import THRUST_LEVELS, ParameterSpec
+from cassini_bayes.spacecraft.parameters import CLOSE_SHARE, THRUST_LEVELS, ParameterSpec
 
 FOLDER = Path(__file__).parents[2] / "priors"
 B_BRANCH = FOLDER / "cassini_b_branch_2010.toml"
@@ -288,6 +292,36 @@ def test_variants_are_new_objects(priors: Priors) -> None:
         priors.parameters["cm_x_m"] = changed.parameters["cm_x_m"]  # type: ignore[index]
 
 
+def test_priors_of_a_branch_are_those_of_a_fit_of_it(tmp_path: Path) -> None:
+    """A file that names branch A gives the A branch's own priors to a model of A; either file gives
+    a mission the same of both branches, and what one branch alone has is no prior of the other.
+    """
+    text = (FOLDER / "cassini_mission.toml").read_text("utf-8")
+    tables = tomllib.loads(text)
+    alone = '[branch.A.parameters.mass_kg]\nfixed = 2500.0\nunit = "kg"\nsource = "made up"\n'
+    files = {}
+    for branch in "AB":
+        path = tmp_path / f"{branch}.toml"
+        path.write_text(text.replace('branch = "B"', f'branch = "{branch}"') + alone, "utf-8")
+        files[branch] = read_priors(path)
+    for branch, own in files.items():
+        loc = {"A": tables["branch"]["A"]["parameters"], "B": tables["parameters"]}[branch]
+        for name in ("thrust_common_n", "thruster_ly_m", "tau_fall_s"):
+            found = own.parameters[name].distribution
+            assert found is not None
+            assert found.loc == loc[name]["loc"]
+        assert own.parameters["cm_x_m"] == files["B"].parameters["cm_x_m"]
+        assert ("mass_kg" in own.parameters) == (branch == "A")
+        for other in "AB":
+            assert dict(own.for_branch(other).parameters) == dict(files[other].parameters)
+            assert dict(own.for_branch(other).for_branch(branch).parameters) == dict(own.parameters)
+    wide = files["A"].scaled(["thruster_ly_m"], width=2.0)
+    assert wide.for_branch("A") == wide
+    space = build_model(mixed_events()[:2], replace(files["A"], wheels=(1, 2, 3))).space
+    model = dict(zip(space.names, space.distributions, strict=True))
+    assert model["thruster_ly_m"].loc == 1.58
+
+
 def test_scaled_priors_stay_where_a_parameter_can_be(priors: Priors) -> None:
     """A uniform of a parameter that is never negative is widened upwards only; one of another
     parameter both ways; a normal that had no bound gets none.
@@ -301,6 +335,27 @@ def test_scaled_priors_stay_where_a_parameter_can_be(priors: Priors) -> None:
     plain = Distribution("norm", {"loc": 0.5, "scale": 0.1})
     changed = priors.with_distribution("tau_rise_s", plain).scaled(["tau_rise_s"], width=4.0)
     assert changed.parameters["tau_rise_s"].distribution == plain.scaled(4.0)
+
+
+@pytest.mark.parametrize("file", ["a_branch_telemetry", "b_branch_telemetry", "hybrid_2012"])
+def test_a_share_of_pulses_stays_a_share_in_a_sweep(file: str) -> None:
+    """Written in the file or built in: wider or moved it stays between 0 and 1, and bounds at its
+    own ends leave it the uniform that it is.
+    """
+    priors = read_priors(FOLDER / f"cassini_{file}.toml")
+    for width, shift in ((2.0, 0.0), (1.0, 1.0), (4.0, -1.0)):
+        found = priors.scaled([CLOSE_SHARE], width, shift).parameters[CLOSE_SHARE].distribution
+        assert found is not None
+        assert found.support[0] >= 0.0
+        assert found.support[1] <= 1.0
+    own, z = priors.parameters[CLOSE_SHARE].distribution, np.linspace(-9.0, 9.0, 101)
+    plain = Distribution("uniform", {"loc": 0.0, "scale": 1.0})
+    assert own is not None
+    assert np.array_equal(own.quantile_of_standard(z), plain.quantile_of_standard(z))
+    shares = own.quantile_of_standard(z)
+    assert np.array_equal(own.standard_of(shares), plain.standard_of(shares))
+    assert np.array_equal(own.log_density(shares), plain.log_density(shares))
+    assert (own.mean(), own.sd()) == (plain.mean(), plain.sd())
 
 
 def test_priors_and_spaces_can_be_copied_to_workers(priors: Priors) -> None:

@@ -16,6 +16,7 @@ from cassini_bayes.sampling.warmstart import (
     highest_mode,
     importance,
     laplace,
+    pareto_k,
     warm_start,
 )
 
@@ -150,3 +151,10 @@ def test_resampled_draws_have_the_posterior_moments() -> None:
     error = 4 * np.sqrt(np.diag(covariance) / (4_000 * warm.draws.efficiency))
     assert (np.abs(z.mean(0) - mean) < error).all()
     assert np.cov(z.T) == pytest.approx(covariance, abs=0.1 * covariance.max())
+
+
+def test_equal_weights_have_no_tail() -> None:
+    """Weights that differ by rounding alone have k 0, heavy ones are seen all the same."""
+    rng = np.random.default_rng(5)
+    assert pareto_k(np.full(500, -3.0) + 1e-13 * rng.normal(size=500)) == 0.0
+    assert pareto_k(rng.exponential(size=4_000)) > 0.7

@@ -218,6 +218,26 @@ def test_groups_that_would_share_a_file_are_refused(fitted: tuple[Factory, Fit])
         plan(factory, fit, SweepFile(group=groups), "test")
 
 
+def test_an_edited_sweep_takes_no_cell_of_the_earlier_one(fitted: tuple[Factory, Fit]) -> None:
+    """Other parameters under a group's name, or another seventh digit, are other files; what was
+    not edited keeps its own.
+    """
+    factory, fit = fitted
+
+    def files(parameters: list[str], width: float) -> list[str]:
+        grid = GridTable(widths=[0.5, width], shifts=[], families=[], events=False)
+        group = GroupTable(name="mine", parameters=parameters)
+        return list(plan(factory, fit, SweepFile(group=[group], grid=grid), "test").cells)
+
+    before = files(["cm_x_m"], 2.0)
+    assert files(["cm_x_m"], 2.0) == before
+    assert not set(files(["tau_fall_s"], 2.0)) & set(before)
+    assert not set(files(["cm_x_m", "cm_y_m"], 2.0)) & set(before)
+    edited = files(["cm_x_m"], 2.0000001)
+    assert edited[0] == before[0]
+    assert edited[1] != before[1]
+
+
 def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[Factory, Fit]) -> None:
     """A width under which a matrix cannot be factored is an input error that names the cell."""
     factory, fit = fitted
@@ -226,6 +246,30 @@ def test_priors_beyond_arithmetic_are_one_line(fitted: tuple[Factory, Fit]) -> N
     wild = Variation("thrust", "width", thrusts, amount=1e12)
     with pytest.raises(InputError, match=r"thrust, width × 1e\+12.*milder"):
         cell_arrays(study.baseline, wild, "always")
+
+
+@pytest.mark.parametrize(
+    ("block", "shift", "said"),
+    [
+        ("tail-off", -100.0, "tail-off, tau_rise_s − 100 σ: .* of the norm's probability"),
+        (CENTRE, 100.0, r"centre of mass, cm_x_m \+ 100 σ: .* torque about y is positive"),
+        ("thrust", -100.0, "thrust, thrust_common_n − 100 σ: .* a positive mean"),
+    ],
+)
+def test_a_change_too_extreme_for_prior_or_model_is_named(
+    fitted: tuple[Factory, Fit], block: str, shift: float, said: str
+) -> None:
+    """One line says which group and change it is, wherever it fails."""
+    factory, fit = fitted
+    grid = GridTable(widths=[], shifts=[shift], families=[], events=False)
+
+    def sweep() -> None:
+        study = plan(factory, fit, SweepFile(blocks=[block], grid=grid), "test")
+        for cell in study.cells.values():
+            cell_arrays(study.baseline, cell, "never")
+
+    with pytest.raises(InputError, match=f"^sweep: {said}.*or leave this change out"):
+        sweep()
 
 
 def test_quantities_are_chosen_by_name_element_and_star(
