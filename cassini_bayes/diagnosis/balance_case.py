@@ -155,8 +155,10 @@ class BalanceCase(Case[Hypothesis]):
         full = none_hypothesis(events)
         none = compact(full)
         density, starts = none.log_density, none.model.starts
-        at_starts = [partial(find_mode, density, none.dimension, start) for start in starts]
-        base = highest(workers.results("", at_starts, Mode))
+        find = partial(find_mode, density, none.dimension)
+        base = highest(workers.results("", [partial(find, at) for at in starts.points], Mode))
+        beside = [partial(find, at) for at in starts.beside(base.point)]
+        base = highest([base, *workers.results("", beside, Mode)])
         log(f"none: log evidence {base.log_evidence:.1f}")
         unknown = compact(unknown_hypothesis(events))
         direct = [effect for effect in events.catalogue.effects if not effect.needs_search]

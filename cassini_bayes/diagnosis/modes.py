@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.optimize import minimize
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.sampling.warmstart import hessian, no_wider_than_prior
 
 LogDensity = Callable[[Array], Array]
@@ -166,9 +168,11 @@ def find_mode(log_density: LogDensity, d: int, start: Array | None = None) -> Mo
     return mode_near(log_density, maximise(log_density, first, axes, FIRST_STEPS), axes)
 
 
-def highest_mode(log_density: LogDensity, starts: Array) -> Mode:
-    """The mode of most evidence of those that are found from points (s, d)."""
-    return highest([find_mode(log_density, len(start), start) for start in starts])
+def highest_mode(log_density: LogDensity, starts: Starts) -> Mode:
+    """The mode of most evidence of those that searches find."""
+    find = partial(find_mode, log_density, starts.dimension)
+    best = highest([find(start) for start in starts.points])
+    return highest([best, *(find(start) for start in starts.beside(best.point))])
 
 
 def highest(modes: Sequence[Mode]) -> Mode:

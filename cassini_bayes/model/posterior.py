@@ -36,6 +36,7 @@ from cassini_bayes.model.totals import DeltaVUse, TotalsTerm, totals_terms
 from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, LATE_FACTOR, ParameterSpec
 from cassini_bayes.spacecraft.pulses import shape_named
 
@@ -134,24 +135,27 @@ class Model(Shared):
         return Unknowns.of(self.space.dimension, levels, departures, events)
 
     @property
-    def starts(self) -> Array:
-        """Points (s, d) at which searches for the mode begin: the centre of the prior, and others.
+    def starts(self) -> Starts:
+        """Where searches for the mode begin: at the centre of the prior, and elsewhere.
 
         A density may have two modes, and from the centre alone a search ended at the lower one.
         In slews noise of rates can stand for that of wheels (50 nats too low): where rows show a
-        noise unlike the expected one, a search begins with it. Where rows have late pulses long
-        tails that are late by much more than tails are can stand for short ones (250 nats too low):
-        searches begin on both sides of what is expected.
+        noise unlike the expected one, a search begins with it. Slow rises with long tails that cut
+        each other can stand for short tails (550 nats too low, a rise 8 standard deviations off):
+        searches begin on both sides of the expected tail, always where rows have late pulses, and
+        else where the mode is odd.
         """
         shown = _with_shown_noise(self.space, self.telemetry)
         starts = [np.zeros(self.space.dimension)]
         if np.abs(shown).max(initial=0.0) > _UNLIKE:
             starts.append(shown)
+        points = np.stack(starts)
+        if not self.telemetry or TAIL not in self.space.names:
+            return Starts.of(points)
+        of_tail = np.eye(self.space.dimension)[self.space.names.index(TAIL)]
+        tails = np.stack([points[-1] + side * of_tail for side in _TAIL_STARTS])
         late = any(term.event.statistics.counters.has_late_pulses for term in self.telemetry)
-        if late and TAIL in self.space.names:
-            of_tail = np.eye(self.space.dimension)[self.space.names.index(TAIL)]
-            starts += [starts[-1] + side * of_tail for side in _TAIL_STARTS]
-        return np.stack(starts)
+        return Starts.of(np.concatenate([points, tails])) if late else Starts(points, tails)
 
     def require_walked(self) -> None:
         """Check that something is walked.

@@ -18,6 +18,7 @@ from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
 from cassini_bayes.model.posterior import Model, log_posterior
 from cassini_bayes.model.telemetry import TAILS
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit, labelled
 from cassini_bayes.sampling.ensembles import (
@@ -266,7 +267,7 @@ def collapsed_size(model: Model) -> int:
 
 
 def _warm_start(
-    density_of: LogDensity, starts: Array, seed: int, store: CheckpointStore | None
+    density_of: LogDensity, starts: Starts, seed: int, store: CheckpointStore | None
 ) -> WarmStart:
     """The warm start: from its checkpoint, or computed and stored."""
     stored = store.load("warmstart") if store else None
@@ -274,7 +275,7 @@ def _warm_start(
         kept: WarmStart = value_of(WarmStart, stored)
         return kept
     rng = _stream(seed, _WARM_START)
-    warm = warm_start(density_of, starts.shape[1], rng, starts=starts)
+    warm = warm_start(density_of, starts.dimension, rng, starts=starts)
     if store is not None:
         store.save("warmstart", arrays_of(warm))
     return warm

@@ -20,6 +20,7 @@ from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.arviz_import import arviz
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.priors.starts import Starts
 
 LogDensity = Callable[[Array], Array]
 
@@ -257,13 +258,20 @@ def pareto_k(log_weights: Array) -> float:
     return float(shape)
 
 
-def highest_mode(log_density: LogDensity, starts: Array) -> Array:
-    """The highest of the maxima (d,) that searches from points (s, d) find.
+def highest_mode(log_density: LogDensity, starts: Starts) -> Array:
+    """The highest of the maxima (d,) that searches find.
 
-    Only the first of them must have a density.
+    Only the first point must have a density.
     """
-    usable = [starts[0], *(s for s in starts[1:] if np.isfinite(log_density(s[None])).all())]
-    modes = np.stack([find_mode(log_density, start) for start in usable])
+    best = find_mode(log_density, starts.points[0])
+    best = _higher(log_density, best, starts.points[1:])
+    return _higher(log_density, best, starts.beside(best))
+
+
+def _higher(log_density: LogDensity, best: Array, points: Array) -> Array:
+    """The highest of a maximum (d,) and of those found from points (r, d) that have a density."""
+    usable = (point for point in points if np.isfinite(log_density(point[None])).all())
+    modes = np.stack([best, *(find_mode(log_density, point) for point in usable)])
     return np.asarray(modes[int(log_density(modes).argmax())])
 
 
@@ -272,16 +280,16 @@ def warm_start(
     d: int,
     rng: np.random.Generator,
     *,
-    starts: Array | None = None,
+    starts: Starts | None = None,
     dof: float = PROPOSAL_DOF,
     pilots: int = 2,
     draws: int = 4_000,
 ) -> WarmStart:
     """Mode → Laplace → refinement of the proposal by its own importance draws → evidence.
 
-    The mode is the highest that is found from points ``starts`` (s, d), by default from zero.
+    The mode is the highest that is found from ``starts``, by default from zero.
     """
-    first = np.zeros((1, d)) if starts is None else starts
+    first = Starts.of(np.zeros((1, d))) if starts is None else starts
     mode, factor = laplace(log_density, highest_mode(log_density, first))
     log_det = 2.0 * np.log(np.diagonal(factor)).sum()
     laplace_log_evidence = float(

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.sampling.ensembles import SamplerSettings, sample
 from cassini_bayes.sampling.warmstart import warm_start
 
@@ -21,7 +22,7 @@ RANK_DRAWS: Final = 999
 
 def posterior_draws(
     log_density: LogDensity,
-    starts: Array,
+    starts: Starts,
     rng: np.random.Generator,
     efforts: Sequence[Effort],
     chain_steps: int = SamplerSettings.max_steps,
@@ -29,9 +30,9 @@ def posterior_draws(
     """Draws (n, d) of the first effort whose Pareto k̂ is trusted; k̂; whether a chain's.
 
     A chain of at most ``chain_steps`` stands in where none is. Searches for the mode begin at
-    ``starts`` (s, d).
+    ``starts``.
     """
-    dimension = starts.shape[1]
+    dimension = starts.dimension
     for dof, pilots, draws in efforts:
         warm = warm_start(
             log_density, dimension, rng, starts=starts, dof=dof, pilots=pilots, draws=draws

@@ -18,6 +18,7 @@ from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.priors.chaining import WHEEL_INERTIA, inertia_wheels
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.spacecraft import Spacecraft
 
@@ -30,8 +31,8 @@ class SweepModel(Protocol):
         """The walked parameters."""
 
     @property
-    def starts(self) -> Array:
-        """Points (s, d) at which searches for the mode begin."""
+    def starts(self) -> Starts:
+        """Where searches for the mode begin."""
 
     @property
     def collapsed(self) -> tuple[str, ...]:
@@ -71,8 +72,8 @@ class SweptModel:
         return self.model.space
 
     @property
-    def starts(self) -> Array:
-        """Points (s, d) at which searches for the mode begin."""
+    def starts(self) -> Starts:
+        """Where searches for the mode begin."""
         return self.model.starts
 
     @property

@@ -187,7 +187,7 @@ def test_flights_that_start_anew_are_one_appendage(monkeypatch: pytest.MonkeyPat
     events = prepare([reduced_simulation(event, PRIORS) for event in own], PRIORS)
     none = none_hypothesis(events)
     small = compact(none)
-    mode = find_mode(small.log_density, small.dimension, small.model.starts[0])
+    mode = find_mode(small.log_density, small.dimension, small.model.starts.points[0])
     left = innovations(none, mode.point)
     priors = {p.key: p.distribution for p in events.catalogue.effect("flexible_mode").parameters}
     found = search(left, priors)

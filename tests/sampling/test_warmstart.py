@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import CassiniBayesError
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.sampling.warmstart import (
     LogDensity,
     Proposal,
@@ -115,13 +116,27 @@ def test_the_higher_of_two_modes_is_found_from_beside_it() -> None:
         of_each = [-50.0 * ((z - mean) ** 2).sum(-1) + 10.0 * i for i, mean in enumerate(means)]
         return np.where(z[:, 0] > -1.0, np.logaddexp(*of_each), -np.inf)
 
-    starts = np.array([[0.0, 0.0], [2.9, 0.1], [-2.0, 0.0]])
-    assert find_mode(two, starts[0]) == pytest.approx(means[0], abs=1e-3)
+    starts = Starts.of(np.array([[0.0, 0.0], [2.9, 0.1], [-2.0, 0.0]]))
+    assert find_mode(two, starts.points[0]) == pytest.approx(means[0], abs=1e-3)
     assert highest_mode(two, starts) == pytest.approx(means[1], abs=1e-3)
     rng = np.random.default_rng(3)
     assert warm_start(two, 2, rng, starts=starts, draws=500).mode == pytest.approx(
         means[1], abs=1e-3
     )
+
+
+@pytest.mark.parametrize(("first", "spares"), [(0.2, 0), (5.0, 1)])
+def test_spare_starts_are_for_modes_that_are_odd(first: float, spares: int) -> None:
+    """From the spare one only where the first search ends five standard deviations out."""
+    begun: list[float] = []
+
+    def one(z: Array) -> Array:
+        begun.extend(z[:, 1].tolist())
+        return -50.0 * (z[:, 0] - first) ** 2 - 0.5 * z[:, 1] ** 2
+
+    starts = Starts(np.array([[first, 0.0]]), np.array([[first, 30.0]]))
+    assert highest_mode(one, starts) == pytest.approx([first, 0.0], abs=1e-3)
+    assert (max(begun) > 20.0) == bool(spares)
 
 
 def test_proposal_density_and_draws_are_student_t() -> None:

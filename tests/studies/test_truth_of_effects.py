@@ -91,7 +91,7 @@ def lacking(events: Events, name: str, size: Mapping[str, float]) -> tuple[float
     points[:, without] = grid
     values = hypothesis.log_density(points)
     best = points[int(values.argmax())]
-    starts = np.concatenate([best[None], hypothesis.model.starts])
+    starts = np.concatenate([best[None], hypothesis.model.starts.points])
     modes = [find_mode(hypothesis.log_density, len(best), start) for start in starts]
     return 2.0 * (max(mode.value for mode in modes) - float(values.max())), len(best)
 
