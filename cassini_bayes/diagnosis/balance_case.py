@@ -64,6 +64,7 @@ from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
 from cassini_bayes.diagnosis.second_reckoning import leads, reckoned_again, unknown_again
 from cassini_bayes.diagnosis.separation import separating_measurement
+from cassini_bayes.diagnosis.shared_torque import torque_again
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
 from cassini_bayes.diagnosis.spectrum import Spectrum, spectra
 from cassini_bayes.diagnosis.stages import SERIAL, StageRunner
@@ -210,7 +211,7 @@ class BalanceCase(Case[Hypothesis]):
             weighed[1] = unknown_again(weighed[1], weighed[0], believed)
         sampled = _sampled_near_best(weighed, rng, workers)
         summed = beginnings.summed(sampled, sampled[0].net_evidence)
-        again = reckoned_again(summed, believed, unknown_too=not is_known)
+        again = reckoned_again(torque_again(summed), believed, unknown_too=not is_known)
         return with_thruster_forms(again, events.catalogue.unknown)
 
     def _settled(

@@ -234,7 +234,7 @@ def reckoned_again(
         extra = len(point) - none.hypothesis.dimension
         by_bands = best.mode.value - none.mode.value + 0.5 * extra * LOG_2_PI
         withheld = by_bands - gain_by_levels(none.hypothesis, best)
-        changed = replace(best, withheld=max(withheld, 0.0))
+        changed = replace(best, withheld=max(withheld, best.withheld))
         result = [changed if own is best else own for own in result]
     if unknown_too and leads(result) == UNKNOWN:
         result = [unknown_again(w, none, believed) if w.name == UNKNOWN else w for w in result]
