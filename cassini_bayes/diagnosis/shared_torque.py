@@ -11,8 +11,9 @@ than that. The data are linear in c. With their information Λ on it and b = Λ 
 and log(½ + ½ e^Δ), where that is positive, is taken off the evidence of the cause. Λ and b follow
 from the cause's mode and curvature, in which N(0, S²) is included.
 
-Other hypotheses have no common part, either, and keep their evidence: what a leak explains a torque
-may explain as well, and which of the two it is the data decide.
+That is done where the torque leads and the baseline would then lead. The other hypotheses have no
+common part, either: of a leak, or of ``unknown``, that may stand for the torque it is not known how
+much they would lose, so what is ahead of them stays there.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.case import NONE, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.second_reckoning import leads
 
 KIND: Final = "external_torque"
 
@@ -45,8 +47,15 @@ def gain_of_width(mean: Array, covariance: Array, width: Array) -> float:
 
 
 def torque_again(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothesis]]:
-    """Everything weighed; a torque in all events has lost what torques within the prior gain."""
-    return [_withheld(own) if _is_shared_torque(own) else own for own in weighed]
+    """Everything weighed; a leading torque of all events has lost what is within the prior.
+
+    If something else than the baseline would then lead, all stays as it is.
+    """
+    first = max(weighed, key=lambda own: own.score)
+    if not _is_shared_torque(first):
+        return list(weighed)
+    again = [_withheld(own) if own is first else own for own in weighed]
+    return again if leads(again) == NONE else list(weighed)
 
 
 def _is_shared_torque(weighed: Weighed[Hypothesis]) -> bool:

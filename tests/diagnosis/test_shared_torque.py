@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from event_cases import eased
 
-from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Beginning, Weighed
 from cassini_bayes.diagnosis.events import Events
 from cassini_bayes.diagnosis.evidence import by_laplace
@@ -84,34 +83,38 @@ def test_what_is_withheld_is_what_a_search_with_the_priors_width_gains() -> None
     """Another way to the same evidence: the model with that prior, searched by itself."""
     none, wide, own = both()
     gain = own.log_evidence - none.log_evidence
-    (again,) = torque_again([wide])
     assert gain > 8.0
+    assert wide.score > none.score + 3.0
+    _, again = torque_again([none, wide])
     assert again.withheld == pytest.approx(np.logaddexp(0.0, gain) - np.log(2.0), abs=0.1)
+    assert again.score < none.score
 
 
-def test_a_torque_within_its_prior_is_no_cause_and_one_beyond_is() -> None:
-    """2.5 standard deviations gain nothing; ten, told as well, keep most of what they gain."""
+def test_a_torque_beyond_its_prior_stays_ahead() -> None:
+    """Ten standard deviations, told as well: the prior's width explains less than half."""
     none, wide, _ = both()
-    (again,) = torque_again([wide])
-    assert again.net_evidence - none.net_evidence < 1.0
     sizes = wide.hypothesis.sizes
     point = wide.mode.point.copy()
     point[sizes] *= 4.0
-    (beyond,) = torque_again([replace(wide, mode=replace(wide.mode, point=point))])
-    told = 0.5 * quadratic(wide.mode, sizes, point[sizes])
-    assert 0.0 < beyond.withheld < 0.75 * told
+    more = 0.5 * 15.0 * quadratic(wide.mode, sizes)  # four times the size, sixteen times the gain
+    mode = replace(wide.mode, point=point)
+    beyond = replace(wide, mode=mode, log_evidence=wide.log_evidence + more)
+    assert torque_again([none, beyond]) == [none, beyond]
 
 
-def quadratic(mode: Mode, sizes: slice, at: Array) -> float:
+def quadratic(mode: Mode, sizes: slice) -> float:
     """Square of sizes over their covariance."""
     covariance = (mode.factor @ mode.factor.T)[sizes, sizes]
-    return float(at @ np.linalg.solve(covariance, at))
+    return float(mode.point[sizes] @ np.linalg.solve(covariance, mode.point[sizes]))
 
 
-def test_later_beginnings_and_other_causes_keep_their_evidence() -> None:
-    """What begins later is no torque of all events; the baseline and a leak stay as they are."""
+def test_what_else_is_ahead_of_the_baseline_leaves_all_as_it_is() -> None:
+    """Later beginnings, another cause that leads, and one that would lead in the torque's place."""
     none, wide, _ = both()
     late = replace(wide, beginnings=(Beginning("again", 1.0, wide),))
+    assert torque_again([none, late]) == [none, late]
     leak = events().catalogue.effect("thruster_leak:z3")
     other = replace(wide, hypothesis=compact(extend(none_hypothesis(events()), [leak])))
-    assert torque_again([none, late, other]) == [none, late, other]
+    for lead in (5.0, -1.0):
+        beside = replace(other, log_evidence=wide.log_evidence + lead)
+        assert torque_again([none, wide, beside]) == [none, wide, beside]
