@@ -15,6 +15,7 @@ from cassini_bayes.model import log_posterior
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
+from cassini_bayes.priors.starts import Starts
 from cassini_bayes.results.fitting import ALL_MET
 from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.record import Fit
@@ -36,8 +37,8 @@ class ToyModel:
     blind: bool
 
     @property
-    def starts(self) -> Array:
-        return np.zeros((1, self.space.dimension))
+    def starts(self) -> Starts:
+        return Starts.of(np.zeros((1, self.space.dimension)))
 
     @property
     def collapsed(self) -> tuple[str, ...]:
