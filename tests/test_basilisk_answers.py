@@ -100,7 +100,7 @@ def test_what_the_oracle_cannot_tell_counts_as_named(answers: ModuleType) -> Non
     assert "oracle's group, more: 0 of 1" in said
     assert "oracle's group, less: 1 of 1" in said
     rows = list(csv.DictReader(io.StringIO(answers.table(records))))
-    assert [row["oracle_sigma"] for row in rows] == ["7.0", "4.0", "12.0", ""]
+    assert [row["oracle_sigma"] for row in rows] == ["7.00", "4.00", "12.00", ""]
     assert rows[0]["oracle_group"] == "thruster_leak:z3 external_torque"
 
 

@@ -104,7 +104,7 @@ def read_sources(
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
     references = (
-        [_moved(fit, event_path(events), read)]
+        [event_path(events)]
         if events
         else [str(locate(fit, n, "--events", read)) for n in _names(resolved, "events", record)]
     )
@@ -125,6 +125,8 @@ def read_sources(
     refuse_duplicates([(event.id, content_of_totals(event)) for event in printed], policy)
     folders = (Path(name) for name in references if is_event_folder(Path(name)))
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
+    if events:
+        _check_unchanged(fit, references[0], _names(resolved, "events", record), recordings)
     files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
     wheels = {n for event in printed for n in event.wheels}
     wheels |= {n for event in recordings for n in event.wheels}
@@ -295,22 +297,22 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
     )
 
 
-def _moved(fit: Path, reference: str, priors: Priors) -> str:
-    """Events that are named by hand: where the fit's record has digests, theirs is among them."""
+def _check_unchanged(
+    fit: Path, reference: str, recorded: Sequence[str], recordings: Sequence[TelemetryEvent]
+) -> None:
+    """Events named by hand: of those that the fit's record names one has the same content."""
     digests, _ = _recorded(record_folder(fit))
-    path = Path(reference) if is_event_folder(Path(reference)) else None
-    file = Path(split_reference(reference)[0])
-    if not digests or (path is None and not exists(file)):
-        return reference  # nothing to compare, or the reader says what is missing
-    found = digest(file) if path is None else read_event(path, priors.spacecraft).digest
-    if found not in digests.values():
+    names = {split_reference(name)[0] for name in recorded}
+    known = {digests[name] for name in names if name in digests}
+    table = Path(split_reference(reference)[0])
+    found = {own.digest for own in recordings} or {digest(table)}
+    if known and not found <= known:
         raise InputError(
             f"--events {reference}",
             "the events as they were when the fit was made",
             "other content",
             "name what the fit was made of, or run it again",
         )
-    return reference
 
 
 def _recorded(folder: Path) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -107,12 +107,14 @@ def test_what_telemetry_did_not_need_is_asked_for_at_once() -> None:
 
 
 def test_events_named_by_hand_are_those_of_the_fit(tmp_path: Path) -> None:
-    """A copy elsewhere is taken, one with another duration is not."""
+    """A copy elsewhere is taken, one with another mass is not."""
     fit = write_run_folder(tmp_path)
     moved = tmp_path / "moved.csv"
     shutil.copy(FLIGHT, moved)
     assert len(read_sources(fit, str(moved)).events) == 8
-    moved.write_text(FLIGHT.read_text() + "\n# changed\n")
+    changed = FLIGHT.read_text().replace("2379.1", "2379.2")
+    assert changed != FLIGHT.read_text()
+    moved.write_text(changed)
     with pytest.raises(InputError, match=r"--events .*as they were when the fit was made"):
         read_sources(fit, str(moved))
 
