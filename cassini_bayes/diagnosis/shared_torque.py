@@ -24,6 +24,7 @@ from typing import Final
 
 import numpy as np
 
+from cassini_bayes.balance.linearised import mean_change_of_evidence
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
@@ -40,10 +41,8 @@ def gain_of_width(mean: Array, covariance: Array, width: Array) -> float:
     """
     precision = np.linalg.inv(covariance)
     told, vector = precision - np.eye(len(mean)), precision @ mean
-    within = np.eye(len(mean)) + width[:, None] * told * width
-    about = width * vector
-    log_det = float(np.linalg.slogdet(within)[1])
-    return float(0.5 * about @ np.linalg.solve(within, about) - 0.5 * log_det)
+    in_widths = width[:, None] * told * width
+    return mean_change_of_evidence(in_widths, width * vector, np.ones(1), np.zeros(1))
 
 
 def torque_again(weighed: Sequence[Weighed[Hypothesis]]) -> list[Weighed[Hypothesis]]:
@@ -80,4 +79,4 @@ def _withheld(weighed: Weighed[Hypothesis]) -> Weighed[Hypothesis]:
         weighed.hypothesis.model.torque_sd_n_m / scales,
     )
     explained = float(np.logaddexp(0.0, gain) - np.log(2.0))
-    return replace(weighed, withheld=max(weighed.withheld, explained, 0.0))
+    return replace(weighed, withheld=max(weighed.withheld, explained))
