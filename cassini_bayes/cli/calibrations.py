@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from inspect import Signature, signature
@@ -291,34 +291,41 @@ def missions(run: Run, events: Totals = FLIGHT, priors: PriorsFile = MISSION_PRI
     return study_missions(run.study, events, priors, run.numbers)
 
 
-@app.command("prediction")
-def calibrate_prediction_command(
-    events: Totals = FLIGHT,
-    priors: PriorsFile = TOTALS_PRIORS,
-    seed: Seed = 20_100_329,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+@dataclass(frozen=True)
+class OfFlight:
+    """Options of studies of the flight biases that have no repetitions."""
+
+    events: Totals = FLIGHT
+    priors: PriorsFile = TOTALS_PRIORS
+    seed: Seed = 20_100_329
+    out: Out = OUT
+    quiet: Quiet = False
+
+    def started(self, page: str) -> AbstractContextManager[Study]:
+        """The study whose page has this name."""
+        return _at_once(page, self.out, self.quiet, self.seed)
+
+
+def calibrate_prediction_command(options: OfFlight) -> None:
     """Leave one flight event out at a time, predict it, and compare with the published columns."""
     from cassini_bayes.studies.prediction import prediction_results
 
-    with _at_once("prediction", out, quiet, seed) as study:
-        prediction_results(study, str(events), str(priors))
+    with options.started("prediction") as study:
+        prediction_results(study, str(options.events), str(options.priors))
 
 
-@app.command("papers")
-def calibrate_papers_command(
-    events: Totals = FLIGHT,
-    priors: PriorsFile = TOTALS_PRIORS,
-    seed: Seed = 20_100_329,
-    out: Out = OUT,
-    quiet: Quiet = False,
-) -> None:
+app.command("prediction")(spread(calibrate_prediction_command))
+
+
+def calibrate_papers_command(options: OfFlight) -> None:
     """Thrust against pressure, Table 1 of paper 003, inertia by date, other beliefs."""
     from cassini_bayes.studies.papers_over_years import study_papers
 
-    with _at_once("papers-over-years", out, quiet, seed) as study:
-        study_papers(study, events, priors)
+    with options.started("papers-over-years") as study:
+        study_papers(study, options.events, options.priors)
+
+
+app.command("papers")(spread(calibrate_papers_command))
 
 
 @app.command("simulation")
