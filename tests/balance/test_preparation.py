@@ -20,6 +20,11 @@ from cassini_bayes.computing.arrays import Array
 CYCLE_S = 0.125
 
 
+def readings(on_time: Array, every_s: float = 1.0) -> Array:
+    """Times (m,) of readings."""
+    return every_s * np.arange(len(on_time))
+
+
 def counted(widths: Array) -> tuple[Array, Array]:
     """Cumulative on-time and pulses (m, 1): one pulse in every third interval."""
     on_time, pulses = np.zeros((2, 3 * len(widths) + 1, 1))
@@ -34,7 +39,7 @@ def test_pulses_of_whole_cycles_leave_a_cycle(cycles: int, step: float) -> None:
     """Their successors come a cycle later, also where rounding moves a width by a step."""
     on_time, pulses = counted(np.full(40, cycles * CYCLE_S))
     shown = step * np.round(on_time / step) if step else on_time
-    assert close_gaps(single_widths(shown, shown, pulses), step, CYCLE_S) == pytest.approx(
+    assert close_gaps(single_widths(readings(shown), shown, shown, pulses), step, CYCLE_S) == pytest.approx(
         [CYCLE_S] * QUANTILES
     )
 
@@ -46,11 +51,30 @@ def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
     """
     widths = np.linspace(0.02, 0.1, 200)
     on_time, pulses = counted(widths)
-    found = close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S)
+    found = close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, CYCLE_S)
     expected = np.quantile(CYCLE_S - widths, (np.arange(QUANTILES) + 0.5) / QUANTILES)
     assert found == pytest.approx(expected, abs=1e-3)
     company = on_time + 0.01 * np.arange(len(on_time))[:, None]
-    assert close_gaps(single_widths(company, company, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(readings(company), company, company, pulses), 0.001, CYCLE_S) == ()
+
+
+def test_pulses_of_long_intervals_are_single_in_company() -> None:
+    """A thruster with 50 ms in every interval, another with 62 ms in every third.
+
+    Of intervals of a second one pulse in twenty is cut by a reading, so that only those count that
+    stand alone. Of ten seconds one in two hundred is: all of both thrusters count. (With those of
+    the second thruster alone, 50 ms were too short for any pulse of the event, and two of them were
+    taken to last anything.)
+    """
+    other, pulses_of_other = counted(np.full(40, 0.062))
+    steady = 0.05 * np.arange(len(other))[:, None]
+    on_time = np.hstack([steady, other])
+    pulses = np.hstack([np.round(steady / 0.05), pulses_of_other])
+    every_second = single_widths(readings(on_time), on_time, on_time, pulses)
+    assert np.unique(every_second.round(6)) == pytest.approx([0.062])
+    found = single_widths(readings(on_time, 10.0), on_time, on_time, pulses)
+    assert np.unique(found.round(6)) == pytest.approx([0.05, 0.062])
+    assert len(found) == (len(other) - 3) + 39  # of 120 and 40: not of the first and last interval
 
 
 def test_no_width_is_below_zero() -> None:
@@ -60,7 +84,7 @@ def test_no_width_is_below_zero() -> None:
     shown = 0.1 * np.round(on_time / 0.1)
     expected = expected_on_times(shown, pulses, 0.1, CYCLE_S).on_time_s
     assert np.diff(expected, axis=0).min() < 0.0
-    assert single_widths(expected, shown, pulses).min() == 0.0
+    assert single_widths(readings(expected), expected, shown, pulses).min() == 0.0
 
 
 def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
@@ -78,9 +102,9 @@ def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
     """Then the likelihood takes a control cycle."""
     on_time, pulses = counted(np.full(LEAST_ALONE - 1, 0.05))
-    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, CYCLE_S) == ()
     on_time, pulses = counted(np.full(40, 0.05))
-    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, 0.0) == ()
+    assert close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, 0.0) == ()
 
 
 def test_few_values_one_step_apart_tell_the_step() -> None:

@@ -30,6 +30,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
+RARELY_CUT: Final = 0.025  # of pulses, by a reading: so few are not told apart
 LEAST_CUT: Final = 8  # pulses that readings cut, to tell whether they begin with cycles (judgement)
 ALIKE: Final = 0.85  # of them, that begin the same time into a cycle where all pulses do
 SLACK_S: Final = 1e-3  # of the times of readings
@@ -104,11 +105,12 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         return Prepared(Preparation(steps, noise), end_s)
     step_s = counter_step(on_time, pulses)
     expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
-    singles = single_widths(on_time, on_time, pulses)
+    singles = single_widths(time, on_time, on_time, pulses)
     with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
     paired = paired_widths(expected.on_time_s, pulses)
-    widths = _typical(single_widths(expected.on_time_s, on_time, pulses), WIDTHS, LEAST_ALONE)
+    alone = single_widths(time, expected.on_time_s, on_time, pulses)
+    widths = _typical(alone, WIDTHS, LEAST_ALONE)
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
     read = np.r_[time, end_s]
@@ -138,13 +140,21 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     return Prepared(found, end_s)
 
 
-def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
-    """Widths of single pulses with none in the intervals before and after, of all thrusters, s.
+def single_widths(time_s: Array, expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
+    """Widths of single pulses, of all thrusters, s.
+
+    A pulse is single if it is the only one of its interval, and nothing fires in the intervals
+    before and after: a reading may have cut it. Where intervals are so long that this is rare
+    (:data:`RARELY_CUT`), every pulse is that is the only one of its interval. A thruster that fires
+    in nearly all intervals of ten seconds would have none otherwise, and the widths of others would
+    stand for its own.
 
     What is expected of rounded counters may be some milliseconds below zero: then it is zero.
 
     Parameters
     ----------
+    time_s
+        (m,) of the readings around every change.
     expected_s
         (m, K) on-times that the widths are taken from.
     on_time_s, pulses
@@ -152,8 +162,12 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     """
     begun = np.diff(pulses, axis=0)
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
-    alone = fired[1:-1] & ~fired[:-2] & ~fired[2:] & (begun[1:-1] == 1.0)
-    return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
+    one, lasted = begun[1:-1] == 1.0, np.diff(time_s)[1:-1, None]
+    gained = np.diff(expected_s, axis=0)[1:-1]
+    alone = one & fired[1:-1] & ~fired[:-2] & ~fired[2:]
+    if gained[one].sum() < RARELY_CUT * np.broadcast_to(lasted, one.shape)[one].sum():
+        alone = one & fired[1:-1]
+    return np.asarray(np.maximum(gained[alone], 0.0))
 
 
 def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
