@@ -25,6 +25,11 @@ def readings(on_time: Array, every_s: float = 1.0) -> Array:
     return every_s * np.arange(len(on_time))
 
 
+def of_seconds(on_time: Array, pulses: Array) -> Array:
+    """Widths of single pulses with readings every second."""
+    return single_widths(readings(on_time), on_time, on_time, pulses)
+
+
 def counted(widths: Array) -> tuple[Array, Array]:
     """Cumulative on-time and pulses (m, 1): one pulse in every third interval."""
     on_time, pulses = np.zeros((2, 3 * len(widths) + 1, 1))
@@ -39,7 +44,7 @@ def test_pulses_of_whole_cycles_leave_a_cycle(cycles: int, step: float) -> None:
     """Their successors come a cycle later, also where rounding moves a width by a step."""
     on_time, pulses = counted(np.full(40, cycles * CYCLE_S))
     shown = step * np.round(on_time / step) if step else on_time
-    assert close_gaps(single_widths(readings(shown), shown, shown, pulses), step, CYCLE_S) == pytest.approx(
+    assert close_gaps(of_seconds(shown, pulses), step, CYCLE_S) == pytest.approx(
         [CYCLE_S] * QUANTILES
     )
 
@@ -51,11 +56,11 @@ def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
     """
     widths = np.linspace(0.02, 0.1, 200)
     on_time, pulses = counted(widths)
-    found = close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, CYCLE_S)
+    found = close_gaps(of_seconds(on_time, pulses), 0.001, CYCLE_S)
     expected = np.quantile(CYCLE_S - widths, (np.arange(QUANTILES) + 0.5) / QUANTILES)
     assert found == pytest.approx(expected, abs=1e-3)
     company = on_time + 0.01 * np.arange(len(on_time))[:, None]
-    assert close_gaps(single_widths(readings(company), company, company, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(of_seconds(company, pulses), 0.001, CYCLE_S) == ()
 
 
 def test_pulses_of_long_intervals_are_single_in_company() -> None:
@@ -70,7 +75,7 @@ def test_pulses_of_long_intervals_are_single_in_company() -> None:
     steady = 0.05 * np.arange(len(other))[:, None]
     on_time = np.hstack([steady, other])
     pulses = np.hstack([np.round(steady / 0.05), pulses_of_other])
-    every_second = single_widths(readings(on_time), on_time, on_time, pulses)
+    every_second = of_seconds(on_time, pulses)
     assert np.unique(every_second.round(6)) == pytest.approx([0.062])
     found = single_widths(readings(on_time, 10.0), on_time, on_time, pulses)
     assert np.unique(found.round(6)) == pytest.approx([0.05, 0.062])
@@ -102,9 +107,9 @@ def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
     """Then the likelihood takes a control cycle."""
     on_time, pulses = counted(np.full(LEAST_ALONE - 1, 0.05))
-    assert close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(of_seconds(on_time, pulses), 0.001, CYCLE_S) == ()
     on_time, pulses = counted(np.full(40, 0.05))
-    assert close_gaps(single_widths(readings(on_time), on_time, on_time, pulses), 0.001, 0.0) == ()
+    assert close_gaps(of_seconds(on_time, pulses), 0.001, 0.0) == ()
 
 
 def test_few_values_one_step_apart_tell_the_step() -> None:
