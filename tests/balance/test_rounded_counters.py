@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from counter_cases import CYCLE_S, readings
 
+from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.rounded_counters import (
     KNOWN,
     Rounding,
     expected_on_times,
+    kinds_of,
     read_levels,
 )
 from cassini_bayes.computing.arrays import Array
@@ -279,6 +281,85 @@ def test_roundings_that_repeat_last(
         stated.append(found.variance_s2 / (0.01**2 / 12.0))
     assert np.mean(stated) == pytest.approx(np.mean(seen), rel=0.35)
     assert lowest < np.mean(stated) < highest
+
+
+def of_two_kinds(
+    rng: np.random.Generator, widths_s: tuple[float, float], scatter_s: float
+) -> tuple[Array, Array, Array]:
+    """Rounded and true on-times and pulses (m, 1): one to three pulses an interval, of two kinds.
+
+    Of an interval of ten seconds no company tells which of them fired.
+    """
+    n = 150
+    count = rng.choice([1, 1, 2, 3], n)
+    long = rng.binomial(count, 0.6)
+    gained = long * widths_s[1] + (count - long) * widths_s[0]
+    gained = gained + scatter_s * np.sqrt(count) * rng.standard_normal(n)
+    true, pulses = (np.concatenate([[0.0], np.cumsum(each)])[:, None] for each in (gained, count))
+    return 0.01 * np.round(true / 0.01), true, pulses
+
+
+def error_of_intervals(shown: Array, true: Array, pulses: Array) -> float:
+    """Root mean square error of what intervals are expected to have, each a firing, s."""
+    found = expected_on_times(shown, pulses, 0.01, 0.0, 1.0)
+    return float(np.sqrt(np.mean(np.diff(found.on_time_s - true, axis=0) ** 2)))
+
+
+def test_pulses_of_two_kinds_are_as_long_as_others_of_their_kind() -> None:
+    """24 and 62 ms on steps of 10 ms: sums tell how many are of either, and errors are 1 ms.
+
+    Negative control: widths of all sizes between, as scattered, have no kinds, and stay as unsure
+    as readings are.
+    """
+    of_kinds, of_all = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        of_kinds.append(error_of_intervals(*of_two_kinds(rng, (0.024, 0.062), 0.001)))
+        of_all.append(error_of_intervals(*of_two_kinds(rng, (0.043, 0.043), 0.019)))
+    assert np.mean(of_kinds) < 0.0014
+    assert np.mean(of_all) > 0.003
+
+
+def test_two_kinds_are_told_by_a_gap_that_no_width_leaves() -> None:
+    """One width shows two readings, so that 24 ms alone has no kinds; nor has 24 and 41 ms."""
+    rng = np.random.default_rng(3)
+    shown, _, pulses = of_two_kinds(rng, (0.024, 0.062), 0.001)
+    own = firings(np.diff(shown[:, 0]), np.diff(pulses[:, 0]), 1.0)
+    kinds = kinds_of([own], 0.01)
+    assert kinds is not None
+    assert kinds.width_s == pytest.approx([0.024, 0.062], abs=2e-3)
+    for widths in ((0.024, 0.024), (0.024, 0.041)):
+        shown, _, pulses = of_two_kinds(rng, widths, 0.001)
+        own = firings(np.diff(shown[:, 0]), np.diff(pulses[:, 0]), 1.0)
+        assert kinds_of([own], 0.01) is None
+
+
+def test_the_only_pulse_of_its_kind_is_unsure() -> None:
+    """One of 24 ms of a thruster whose others last 62 ms, beside a thruster with both kinds.
+
+    It is expected to last about as long as those of the other, to 2 ms, and what is open of it is
+    larger than of the pulses beside it. Negative control: without the other thruster it lasts what
+    readings say, to 3 ms.
+    """
+    wrong, alone, ratios = [], [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        shown, _, pulses = of_two_kinds(rng, (0.024, 0.062), 0.001)
+        n = len(shown) - 1
+        widths = np.where(np.arange(n) == n // 2, 0.024, 0.062)
+        other = np.concatenate([[0.0], np.cumsum(widths + 0.001 * rng.standard_normal(n))])
+        read, begun = 0.01 * np.round(other / 0.01)[:, None], np.arange(n + 1.0)[:, None]
+        own = expected_on_times(read, begun, 0.01, 0.0, 1.0)
+        alone.append(np.diff(own.on_time_s[:, 0] - other)[n // 2])
+        with_other = np.hstack([shown, read]), np.hstack([pulses, begun])
+        both = expected_on_times(*with_other, 0.01, 0.0, 1.0)
+        wrong.append(np.diff(both.on_time_s[:, 1] - other)[n // 2])
+        ratio = both.rounding[1].ratio
+        ratios.append(ratio[n // 2] / np.median(ratio))
+    assert np.sqrt(np.mean(np.square(wrong))) < min(
+        0.0024, 0.8 * np.sqrt(np.mean(np.square(alone)))
+    )
+    assert np.median(ratios) > 1.5
 
 
 def of_rare_company(rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from cassini_bayes.balance.statistics.channel_noise import channel_noise
 from cassini_bayes.balance.statistics.counters import (
+    MOST_PULSES,
     are_quantised,
     counter_step,
     delivered_pulses,
@@ -104,11 +105,12 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
         return Prepared(Preparation(steps, noise), end_s)
     step_s = counter_step(on_time, pulses)
-    expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
+    most = 1.0 if are_rarely_cut(time, on_time, pulses) else MOST_PULSES
+    expected = expected_on_times(on_time, pulses, step_s, control_cycle_s, most)
     singles = single_widths(time, on_time, on_time, pulses)
     with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
-    paired = paired_widths(expected.on_time_s, pulses)
+    paired = paired_widths(expected.on_time_s, pulses, most)
     alone = single_widths(time, expected.on_time_s, on_time, pulses)
     widths = _typical(alone, WIDTHS, LEAST_ALONE)
     # after the last change nothing fires
@@ -136,7 +138,9 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)
     on_times = (time, expected.on_time_s, pulses)
-    found = Preparation(steps, noise, *on_times, expected.rounding, gaps, paired, widths, late)
+    found = Preparation(
+        steps, noise, *on_times, expected.rounding, gaps, paired, widths, most, late
+    )
     return Prepared(found, end_s)
 
 
@@ -162,25 +166,40 @@ def single_widths(time_s: Array, expected_s: Array, on_time_s: Array, pulses: Ar
     """
     begun = np.diff(pulses, axis=0)
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
-    one, lasted = begun[1:-1] == 1.0, np.diff(time_s)[1:-1, None]
-    gained = np.diff(expected_s, axis=0)[1:-1]
-    alone = one & fired[1:-1] & ~fired[:-2] & ~fired[2:]
-    if gained[one].sum() < RARELY_CUT * np.broadcast_to(lasted, one.shape)[one].sum():
-        alone = one & fired[1:-1]
-    return np.asarray(np.maximum(gained[alone], 0.0))
+    alone = fired[1:-1] & (begun[1:-1] == 1.0)
+    if not are_rarely_cut(time_s, on_time_s, pulses):
+        alone &= ~fired[:-2] & ~fired[2:]
+    return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
 
-def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
+def are_rarely_cut(time_s: Array, on_time_s: Array, pulses: Array) -> bool:
+    """Whether readings are so far apart that they hardly ever cut a pulse (:data:`RARELY_CUT`).
+
+    Parameters
+    ----------
+    time_s, on_time_s, pulses
+        (m,) and (m, K) readings of the counters around every change.
+    """
+    one = np.diff(pulses, axis=0) == 1.0
+    lasted = np.broadcast_to(np.diff(time_s)[:, None], one.shape)[one].sum()
+    return bool(np.diff(on_time_s, axis=0)[one].sum() < RARELY_CUT * lasted)
+
+
+def paired_widths(
+    on_time_s: Array, pulses: Array, most_pulses: float = MOST_PULSES
+) -> tuple[float, ...]:
     """Widths of an event's pulses, each the mean of its firing, as quantiles, s; none without any.
 
     Parameters
     ----------
     on_time_s, pulses
         (m, K) readings of the counters around every change.
+    most_pulses
+        Of a firing, as in :func:`.firings`.
     """
     found = [np.zeros(0)]
     for gained, begun in zip(np.diff(on_time_s, axis=0).T, np.diff(pulses, axis=0).T, strict=True):
-        own = firings(gained, begun)
+        own = firings(gained, begun, most_pulses)
         found.append(np.repeat(own.seconds / own.pulses, own.pulses.astype(np.int64)))
     return _typical(np.maximum(np.concatenate(found), 0.0), QUANTILES, 1)
 

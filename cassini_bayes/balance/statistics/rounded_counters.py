@@ -37,6 +37,7 @@ from scipy.linalg import cholesky_banded, solveh_banded
 
 from cassini_bayes.balance.statistics.counters import (
     LEAST_RUNS,
+    MOST_PULSES,
     Firings,
     are_quantised,
     cut_phase,
@@ -60,6 +61,8 @@ LEAST_LIKELIHOOD: Final = 1e-300  # beside the best: of a spread that is out of 
 COMPANY_ROUNDS: Final = 2  # of widths by company, and of spreads beside them
 COMPANY_STEPS: Final = 20  # of expectation and maximisation, of the scatter between companies
 LEAST_TOGETHER: Final = 3  # firings in one company, for a width of their own
+LEAST_GAP: Final = 2  # steps between readings of two kinds of pulses: one width shows two values
+LEAST_DIFFERENCE: Final = 0.1  # of a step, by which thrusters' pulses of one kind differ
 LEAST_SCATTER: Final = 1e-4  # between companies, over σ²: one of no size has no precision
 HARMONICS: Final = 6  # of a rounding: 90 % of its variance, and all that lasts
 LEAST_LASTING: Final = 0.2  # of it over long times: widths are not quite what is expected
@@ -107,7 +110,13 @@ class Rounding:
 KNOWN: Final = Rounding()
 
 
-def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> OnTimes:
+def expected_on_times(
+    on_time_s: Array,
+    pulses: Array,
+    step_s: float,
+    quantum_s: float,
+    most_pulses: float = MOST_PULSES,
+) -> OnTimes:
     """What is expected of the commanded on-times, given rounded readings.
 
     Parameters
@@ -118,6 +127,8 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
         Their step, s; 0 where they are not rounded.
     quantum_s
         What commands may be multiples of (a control cycle), s; 0 for any width.
+    most_pulses
+        Of a firing, as in :func:`.firings`.
     """
     thrusters = range(on_time_s.shape[1])
     if step_s < LEAST_STEP_S:
@@ -126,19 +137,20 @@ def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s:
         phase_s = cut_phase(on_time_s, step_s, quantum_s)
         gained = whole_cycles(on_time_s - on_time_s[0], quantum_s, phase_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
-    return _smoothed(on_time_s, pulses, step_s)
+    return _smoothed(on_time_s, pulses, step_s, most_pulses)
 
 
-def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
+def _smoothed(on_time_s: Array, pulses: Array, step_s: float, most_pulses: float) -> OnTimes:
     """Expected cumulative on-times (m, K), and what stays open."""
     change, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
-    fired = [firings(*each) for each in zip(change.T, begun.T, strict=True)]
+    fired = [firings(*each, most_pulses) for each in zip(change.T, begun.T, strict=True)]
     telling = [k for k, own in enumerate(fired) if len(own.seconds) >= LEAST_RUNS]
     white = step_s**2 / 12.0
     result = np.array(on_time_s, dtype=np.float64)
     left = [Rounding(step_s, white) if len(own.active) > 0 else KNOWN for own in fired]
     company = _company((change > 0.0) | (begun > 0.0), [fired[k] for k in telling])
-    told = _spreads_by_company([fired[k] for k in telling], company, white)
+    kinds = kinds_of([fired[k] for k in telling], step_s)
+    told = _spreads_by_company([fired[k] for k in telling], company, kinds, white)
     for k, (spreads, longer) in zip(telling, told, strict=True):
         expected, _ = _expected(fired[k], longer, spreads, white)
         lasting = _lasting(expected, white * spreads, step_s)
@@ -163,8 +175,61 @@ def _company(fires: Flags, fired: Sequence[Firings]) -> list[Places]:
     return sets
 
 
+@dataclass(frozen=True)
+class Kinds:
+    """Two kinds of pulses of an event, short ones and long ones.
+
+    ``width_s`` (2,) are means of single pulses of all thrusters, ``variance_s2`` (2,) those of
+    widths about them.
+    """
+
+    width_s: Array
+    variance_s2: Array
+
+    def pulses(self, own: Firings) -> Array:
+        """How many (R, 2) of either kind add up to what is nearest to the on-time of firings."""
+        short, long = self.width_s
+        longer = np.round((own.seconds - own.pulses * short) / (long - short))
+        longer = np.clip(longer, 0.0, own.pulses)
+        return np.stack([own.pulses - longer, longer], axis=1)
+
+    def longer(self, own: Firings, rounding: float) -> tuple[Array, Array]:
+        """By how much firings (R,) last longer than pulses of one width, s; how unsure, over σ².
+
+        A thruster's pulses of a kind have a width of their own, Gaussian about that of all. Of a
+        kind in less than :data:`LEAST_TOGETHER` firings that width is not known well.
+        """
+        of_kind = self.pulses(own)
+        alike = np.ones_like(own.seconds)
+        solved = np.stack([_solve(each, alike, rounding) for each in of_kind.T], axis=1)
+        covariance = np.linalg.inv(of_kind.T @ solved + np.diag(1.0 / self.variance_s2))
+        width = covariance @ (solved.T @ own.seconds + self.width_s / self.variance_s2)
+        rare = (of_kind > 0.0).sum(axis=0) < LEAST_TOGETHER
+        unsure = of_kind**2 @ np.where(rare, np.diag(covariance), 0.0) / rounding
+        return of_kind @ width - own.pulses * _mean_pulse(own), unsure
+
+
+def kinds_of(fired: Sequence[Firings], step_s: float) -> Kinds | None:
+    """Two kinds of pulses, if a gap between readings of single ones is wider than roundings are."""
+    alone = np.concatenate([np.zeros(0), *(own.seconds[own.pulses == 1.0] for own in fired)])
+    shown, often = np.unique(np.round(alone / step_s), return_counts=True)
+    usual = shown[often >= LEAST_TOGETHER]
+    gaps = np.diff(usual)
+    if len(gaps) == 0 or gaps.max() < LEAST_GAP:
+        return None
+    place = int(np.argmax(gaps))
+    is_long = alone > 0.5 * step_s * (usual[place] + usual[place + 1])
+    groups = alone[~is_long], alone[is_long]
+    scatter = np.array([np.var(group) for group in groups]) - step_s**2 / 6.0
+    least = (LEAST_DIFFERENCE * step_s) ** 2
+    return Kinds(np.array([group.mean() for group in groups]), np.maximum(scatter, least))
+
+
 def _spreads_by_company(
-    fired: Sequence[Firings], company: Sequence[Places], rounding: float
+    fired: Sequence[Firings],
+    company: Sequence[Places],
+    kinds: Kinds | None,
+    rounding: float,
 ) -> list[tuple[Array, Array]]:
     """Variances (R,) over σ² (:func:`_spreads`) of firings beside what is usual in their company.
 
@@ -172,6 +237,12 @@ def _spreads_by_company(
     company that hardly ever came is not known: there its pulses have the scatter between companies
     of the thruster for which it is largest, as one controller commands all.
     """
+    nothing = [(np.zeros_like(own.seconds),) * 2 for own in fired]
+    by_kind = nothing if kinds is None else [kinds.longer(own, rounding) for own in fired]
+    fired = [
+        own._replace(seconds=own.seconds - more)
+        for own, (more, _) in zip(fired, by_kind, strict=True)
+    ]
     spreads = _spreads(fired, rounding)
     longer, scatter = [np.zeros_like(own.seconds) for own in fired], 0.0
     for _ in range(COMPANY_ROUNDS):
@@ -189,7 +260,10 @@ def _spreads_by_company(
         spread + np.where(_is_usual(sets), 0.0, own.pulses**2 * scatter / rounding)
         for own, spread, sets in zip(fired, spreads, company, strict=True)
     ]
-    return list(zip(spreads, longer, strict=True))
+    return [
+        (spread + unsure, more + of_kind)
+        for spread, more, (of_kind, unsure) in zip(spreads, longer, by_kind, strict=True)
+    ]
 
 
 def _is_usual(company: Places) -> Flags:
