@@ -318,3 +318,29 @@ def test_the_generator_does_not_know_the_package() -> None:
     assert len(sources) > 10
     for source in sources:
         assert "cassini_bayes" not in source.read_text("utf-8"), source.name
+
+
+@pytest.mark.parametrize("recording", ["degraded-thruster", "leak", "misaligned-thruster"])
+def test_what_pulses_delivered_is_known_as_well_as_stated(
+    recording: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What first-order valves deliver for the recorded firings is what the balance takes, or noise.
+
+    Negative control: without twenty pulses of a thruster, which counters have, it is far from that.
+    """
+    if not (ROOT / "benchmarks").is_dir():
+        pytest.skip("benchmarks are no part of a source distribution")
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    pulses = importlib.import_module("basilisk_pulses")
+    monkeypatch.setattr(pulses, "SHARES", (0.003, 0.3))
+    truth = truth_of(DATA / recording / "1-bias")
+    fired = [event for event in truth["events"] if event.endswith("bias")]
+    told = pulses.told_of(DATA / recording, fired, truth)
+    assert not told.is_fault, told
+    firings = truth["events"][fired[0]]["firings_ms"]
+    thruster = max(firings, key=lambda each: len(firings[each]))
+    middle = len(firings[thruster]) // 2
+    del firings[thruster][middle : middle + 20]
+    monkeypatch.setattr(pulses, "SHARES", (told.share,))
+    lacking = pulses.told_of(DATA / recording, fired, truth)
+    assert lacking.is_fault, lacking
