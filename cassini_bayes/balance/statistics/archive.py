@@ -22,7 +22,7 @@ from cassini_bayes.balance.statistics.walk import walk_cosines
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.arrays import read_arrays, write_arrays
 
-_FORMAT: Final = 23  # raised with every change of what is stored
+_FORMAT: Final = 24  # raised with every change of what is stored
 _PARTS: Final[Mapping[str, Any]] = {
     "turns": TurnStatistics,
     "counters": CounterStatistics,
