@@ -306,7 +306,7 @@ def plain_rows(
     effective = effective_steps(samples, sampling, tau)
     reached = {}  # by pulses of a firing, squared, over those of all
     for g, couple in enumerate(sampling.couples):
-        for firing in plain_firings(samples, couple, sampling):
+        for firing in plain_firings(samples, couple):
             rows.firings.append((float(samples.time_s[firing.rows[-1]]), g, firing))
             own, usual = (
                 plain_reached(widths, sampling.pulse_reference_s)
@@ -514,14 +514,8 @@ class PlainFiring:
     count: float
 
 
-def plain_firings(
-    samples: Samples, members: Sequence[int], sampling: Sampling
-) -> list[PlainFiring]:
-    """Rows in a row in which thrusters that fire together gained on-time or began a pulse.
-
-    Where readings hardly ever cut one, every row in which pulses begin is a firing of its own.
-    """
-    apart = sampling.firing_pulses == 1.0
+def plain_firings(samples: Samples, members: Sequence[int]) -> list[PlainFiring]:
+    """Rows in a row in which thrusters that fire together gained on-time or began a pulse."""
     found, burst = [], list[int]()
     seconds = count = 0.0
     for i in range(1, len(samples) + 1):
@@ -529,14 +523,13 @@ def plain_firings(
         if i < len(samples):
             gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in members)
             begun = max(samples.pulses[i, k] - samples.pulses[i - 1, k] for k in members)
-        goes_on = gained > 0.0 or begun > 0.0
-        if burst and (not goes_on or (apart and begun > 0.0)):
+        if gained > 0.0 or begun > 0.0:
+            burst.append(i)
+            seconds, count = seconds + gained, count + begun
+        elif burst:
             times = samples.time_s[burst].tolist()
             found.append(PlainFiring(burst, times, float(seconds), max(float(count), 1.0)))
             burst, seconds, count = [], 0.0, 0.0
-        if goes_on:
-            burst.append(i)
-            seconds, count = seconds + gained, count + begun
     return found
 
 
@@ -544,7 +537,7 @@ def effective_steps(samples: Samples, sampling: Sampling, tau: tuple[float, ...]
     """Effective on-time gained in the interval that ends at each row."""
     result, pulses = np.zeros(samples.on_time_s.shape), PlainPulses(sampling, tau)
     for k in range(samples.on_time_s.shape[1]):
-        for firing in plain_firings(samples, (k,), sampling):
+        for firing in plain_firings(samples, (k,)):
             each = pulses.expected(firing.seconds / firing.count, firing.count)
             for j in firing.rows:
                 own = samples.on_time_s[j, k] - samples.on_time_s[j - 1, k]

@@ -106,10 +106,7 @@ def on_time_columns(samples: Samples, rows: Places, sampling: Sampling) -> Array
     time = samples.time_s[counted]
     on_time, pulses = samples.on_time_s[counted], samples.pulses[counted]
     gained = effective_increments(
-        np.diff(on_time, axis=0),
-        np.diff(pulses, axis=0),
-        sampling.pulses.expected_columns,
-        sampling.firing_pulses,
+        np.diff(on_time, axis=0), np.diff(pulses, axis=0), sampling.pulses.expected_columns
     )
     flat = gained.reshape(len(gained), -1)
     total = np.concatenate([np.zeros((1, flat.shape[1])), np.cumsum(flat, axis=0)])

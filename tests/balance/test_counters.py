@@ -12,7 +12,6 @@ from telemetry_cases import made_up_samples
 from cassini_bayes.balance.statistics.counters import (
     counter_step,
     delivered_pulses,
-    firings,
     is_quantised,
 )
 from cassini_bayes.balance.statistics.preparation import prepare
@@ -57,19 +56,6 @@ def test_readings_that_cut_pulses_of_whole_cycles_are_known(phase_s: float) -> N
     for other in (widths, often, halves):
         open_ = expected_on_times(np.round(other, 2), pulses, 0.01, 0.125)
         assert all(one.variance_s2 > 0.0 for one in open_.rounding)
-
-
-def test_intervals_in_a_row_are_one_firing_or_each_one() -> None:
-    """A pulse that goes on belongs to what it began with, however few pulses a firing may have."""
-    begun, gained = np.array([1.0, 1, 0, 2, 0, 1]), np.array([0.06, 0.05, 0.03, 0.12, 0.0, 0.06])
-    whole = firings(gained, begun)
-    assert whole.number.tolist() == [0, 0, 0, 0, 1]
-    assert whole.pulses.tolist() == [4.0, 1.0]
-    each = firings(gained, begun, 1.0)
-    assert each.active.tolist() == [0, 1, 2, 3, 5]
-    assert each.number.tolist() == [0, 1, 1, 2, 3]
-    assert each.seconds == pytest.approx([0.06, 0.08, 0.12, 0.06])
-    assert each.pulses.tolist() == [1.0, 1.0, 2.0, 1.0]
 
 
 def test_a_step_is_told_from_the_readings() -> None:

@@ -12,7 +12,6 @@ from cassini_bayes.balance.open_counters import (
     step_patterns,
     step_variances,
 )
-from cassini_bayes.balance.statistics.counters import MOST_PULSES
 from cassini_bayes.balance.statistics.event_statistics import CounterStatistics
 from cassini_bayes.balance.statistics.long_levels import (
     NO_LEVELS,
@@ -53,7 +52,6 @@ def counters(pairs: list[float]) -> CounterStatistics:
         np.array([0.125]),
         np.zeros(0),
         0.0,
-        MOST_PULSES,
         0.0,
         0.0,
         1.0,

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cassini_bayes.balance.statistics.counters import MOST_PULSES, firings
+from cassini_bayes.balance.statistics.counters import firings
 from cassini_bayes.balance.statistics.layout import CUT_COLUMNS, Layout
 from cassini_bayes.balance.statistics.pairs import Counted, Pairs, cut_columns, pairs_of
 from cassini_bayes.balance.statistics.pulse_columns import PULSE_COLUMNS
@@ -281,8 +281,7 @@ def _impulses(
     if len(active) == 0:
         return carry.fired[None]
     of_pulse = sampling.pulses.expected_columns
-    most = sampling.firing_pulses
-    increments = effective_increments(counted.on_time, counted.pulses, of_pulse, most)[active]
+    increments = effective_increments(counted.on_time, counted.pulses, of_pulse)[active]
     nearest = np.searchsorted(0.5 * (time[1:] + time[:-1]), counted.time_s)
     mean = 0.5 * (attitude[nearest[active]] + attitude[nearest[active + 1]])
     steps = increments[..., None, None] * np.swapaxes(mean, 1, 2)[:, None, None]
@@ -290,22 +289,18 @@ def _impulses(
 
 
 def effective_increments(
-    on_time: Array,
-    pulses: Array,
-    of_pulse: Callable[[Array, Array], Array],
-    most_pulses: float = MOST_PULSES,
+    on_time: Array, pulses: Array, of_pulse: Callable[[Array, Array], Array]
 ) -> Array:
     """What pulses of every counter interval add to the pulse columns, (m, K, C).
 
     Intervals of one firing share the mean width of their pulses. What a firing gains beyond its
     on-time is of its pulses, each where it began.
     on_time, pulses (m, K) are the increments of the counters; ``of_pulse`` gives the columns
-    (…, C) of a pulse from the mean width (…) of so many (…), s; ``most_pulses`` is as in
-    :func:`.firings`.
+    (…, C) of a pulse from the mean width (…) of so many (…), s.
     """
     result = np.zeros((*on_time.shape, of_pulse(np.zeros(1), np.ones(1)).shape[-1]))
     for k in range(on_time.shape[1]):
-        rows, run, seconds, count = firings(on_time[:, k], pulses[:, k], most_pulses)
+        rows, run, seconds, count = firings(on_time[:, k], pulses[:, k])
         effective = count[:, None] * of_pulse(seconds / count, count)
         begun = np.bincount(run, pulses[rows, k])
         by_time = on_time[rows, k] / np.where(seconds > 0, seconds, 1.0)[run]

@@ -81,7 +81,6 @@ def counter_statistics(
         np.array(sampling.paired_s),
         np.array(sampling.widths_s),
         sampling.unsure_s,
-        sampling.firing_pulses,
         sampling.block_s,
         sampling.block_rows,
         averaged,

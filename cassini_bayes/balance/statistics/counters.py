@@ -28,8 +28,7 @@ def firings(gained_s: Array, begun: Array, most_pulses: float = MOST_PULSES) -> 
     """Intervals in a row with firing belong together: a pulse may run from one into the next.
 
     A thruster that never pauses has a new firing after every ``most_pulses``: what one pulse has on
-    either side of a reading is little beside so many. With ``most_pulses`` of 1 every interval in
-    which pulses begin is one.
+    either side of a reading is little beside so many.
 
     Parameters
     ----------
@@ -39,11 +38,8 @@ def firings(gained_s: Array, begun: Array, most_pulses: float = MOST_PULSES) -> 
     active = np.flatnonzero((gained_s > 0.0) | (begun > 0.0))
     starts = np.diff(active, prepend=active[:1]) > 1
     before = np.cumsum(begun[active]) - begun[active]
-    place = np.arange(len(active))
-    first = np.maximum.accumulate(np.where(starts, place, 0))
+    first = np.maximum.accumulate(np.where(starts, np.arange(len(active)), 0))
     since = (before - before[first]) // most_pulses
-    # a pulse that goes on belongs to what it began with
-    since = since[np.maximum.accumulate(np.where(starts | (begun[active] > 0.0), place, 0))]
     starts |= np.diff(since, prepend=since[:1]) > 0
     number = np.cumsum(starts, dtype=np.int64)
     seconds = np.bincount(number, gained_s[active]).astype(np.float64)

@@ -77,8 +77,7 @@ class CounterStatistics:
     all as likely, from the end of a pulse to the next one of a pair that is close, ``paired_s``
     (m,) widths of pulses in pairs; ``widths_s``
     (m,) are widths of pulses, all as likely, none if they are not known, ``unsure_s`` how well the
-    on-time of a firing is known, ``firing_pulses`` how many pulses of intervals in a row are one at
-    most (:func:`.firings`). Where rows have pulses
+    on-time of a firing is known. Where rows have pulses
     that are late, they are means over ``averaged`` rows in blocks of ``block_s`` (``block_rows``
     usually), ``late_width_s``
     is the mean width of pulses, ``late_rate_hz`` (G,) how often couples fire, ``late_first_s`` and
@@ -102,7 +101,6 @@ class CounterStatistics:
     paired_s: Array
     widths_s: Array
     unsure_s: float
-    firing_pulses: float
     block_s: float
     block_rows: float
     averaged: float
@@ -146,7 +144,6 @@ class CounterStatistics:
             sampling,
             widths_s=tuple(self.widths_s.tolist()),
             unsure_s=self.unsure_s,
-            firing_pulses=self.firing_pulses,
             gaps_s=tuple(self.gaps_s.tolist()),
             paired_s=tuple(self.paired_s.tolist()),
             block_s=self.block_s,

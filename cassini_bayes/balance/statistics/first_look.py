@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cassini_bayes.balance.statistics.channel_noise import NOT_SEEN, ChannelNoise
-from cassini_bayes.balance.statistics.counters import MOST_PULSES
 from cassini_bayes.balance.statistics.event_statistics import NO_STEPS, ChannelSteps
 from cassini_bayes.balance.statistics.rounded_counters import Rounding
 from cassini_bayes.computing.arrays import Array
@@ -46,7 +45,6 @@ class Preparation:
     gaps_s: tuple[float, ...] = ()  # of close pulses; without, a control cycle
     paired_s: tuple[float, ...] = ()  # widths of pulses that may be close
     widths_s: tuple[float, ...] = ()  # of pulses; without, those of a firing are alike
-    firing_pulses: float = MOST_PULSES  # of intervals in a row
     late: LateRows = LateRows()  # without rows between firings
 
     @property

@@ -115,7 +115,7 @@ def _of_firings(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[A
         gained, begun = (
             of_all[:, members].max(axis=1) for of_all in (counted.on_time, counted.pulses)
         )
-        own = firings(gained, begun, sampling.firing_pulses)
+        own = firings(gained, begun)
         ends = own.active[np.diff(own.number, append=len(own.pulses)) > 0]
         mean = own.seconds / own.pulses
         scatter[ends, g] = sampling.pulses.scatter(mean, own.pulses)

@@ -14,7 +14,6 @@ import numpy as np
 
 from cassini_bayes.balance.statistics.channel_noise import channel_noise
 from cassini_bayes.balance.statistics.counters import (
-    MOST_PULSES,
     are_quantised,
     counter_step,
     delivered_pulses,
@@ -31,7 +30,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
-RARELY_CUT: Final = 0.025  # of pulses, by a reading: so few are not told apart
+RARELY_CUT: Final = 0.025  # of pulses, by a reading: so few are no kind of their own
 LEAST_CUT: Final = 8  # pulses that readings cut, to tell whether they begin with cycles (judgement)
 ALIKE: Final = 0.85  # of them, that begin the same time into a cycle where all pulses do
 SLACK_S: Final = 1e-3  # of the times of readings
@@ -105,14 +104,12 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
         noise = channel_noise(rows, np.zeros(len(rows), dtype=np.intp), *astuple(steps))
         return Prepared(Preparation(steps, noise), end_s)
     step_s = counter_step(on_time, pulses)
-    most = 1.0 if are_rarely_cut(time, on_time, pulses) else MOST_PULSES
-    expected = expected_on_times(on_time, pulses, step_s, control_cycle_s, most)
-    singles = single_widths(time, on_time, on_time, pulses)
+    expected = expected_on_times(on_time, pulses, step_s, control_cycle_s)
+    singles = single_widths(on_time, on_time, pulses)
     with_cycles = begin_with_cycles(time, on_time, pulses, step_s, control_cycle_s)
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
-    paired = paired_widths(expected.on_time_s, pulses, most)
-    alone = single_widths(time, expected.on_time_s, on_time, pulses)
-    widths = _typical(alone, WIDTHS, LEAST_ALONE)
+    paired = paired_widths(expected.on_time_s, pulses)
+    widths = _typical(single_widths(expected.on_time_s, on_time, pulses), WIDTHS, LEAST_ALONE)
     # after the last change nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
     read = np.r_[time, end_s]
@@ -138,27 +135,23 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     elif 0.0 < step_s <= COARSE_STEP_S:
         pulses = delivered_pulses(on_time, pulses, step_s)
     on_times = (time, expected.on_time_s, pulses)
-    found = Preparation(
-        steps, noise, *on_times, expected.rounding, gaps, paired, widths, most, late
-    )
+    found = Preparation(steps, noise, *on_times, expected.rounding, gaps, paired, widths, late)
     return Prepared(found, end_s)
 
 
-def single_widths(time_s: Array, expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
+def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     """Widths of single pulses, of all thrusters, s.
 
     A pulse is single if it is the only one of its interval, and nothing fires in the intervals
-    before and after: a reading may have cut it. Where intervals are so long that this is rare
-    (:data:`RARELY_CUT`), every pulse is that is the only one of its interval. A thruster that fires
-    in nearly all intervals of ten seconds would have none otherwise, and the widths of others would
-    stand for its own.
+    before and after: a reading may have cut it. Where readings rarely do (:func:`are_rarely_cut`),
+    as those ten seconds apart, every pulse is that is the only one of its interval. A thruster that
+    fires in nearly all intervals would have none otherwise, and the widths of others would stand
+    for its own.
 
     What is expected of rounded counters may be some milliseconds below zero: then it is zero.
 
     Parameters
     ----------
-    time_s
-        (m,) of the readings around every change.
     expected_s
         (m, K) on-times that the widths are taken from.
     on_time_s, pulses
@@ -167,39 +160,40 @@ def single_widths(time_s: Array, expected_s: Array, on_time_s: Array, pulses: Ar
     begun = np.diff(pulses, axis=0)
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
     alone = fired[1:-1] & (begun[1:-1] == 1.0)
-    if not are_rarely_cut(time_s, on_time_s, pulses):
+    if are_rarely_cut(on_time_s, pulses):
+        alone &= np.diff(on_time_s, axis=0)[1:-1] > 0.0
+    else:
         alone &= ~fired[:-2] & ~fired[2:]
     return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
 
-def are_rarely_cut(time_s: Array, on_time_s: Array, pulses: Array) -> bool:
-    """Whether readings are so far apart that they hardly ever cut a pulse (:data:`RARELY_CUT`).
+def are_rarely_cut(on_time_s: Array, pulses: Array) -> bool:
+    """Whether readings hardly ever cut a pulse, or find it as it begins (:data:`RARELY_CUT`).
+
+    Where no pulse begins in an interval, what it has is the rest of one from before.
 
     Parameters
     ----------
-    time_s, on_time_s, pulses
-        (m,) and (m, K) readings of the counters around every change.
+    on_time_s, pulses
+        (m, K) readings of the counters around every change.
     """
-    one = np.diff(pulses, axis=0) == 1.0
-    lasted = np.broadcast_to(np.diff(time_s)[:, None], one.shape)[one].sum()
-    return bool(np.diff(on_time_s, axis=0)[one].sum() < RARELY_CUT * lasted)
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    told = (begun[:-1] > 0.0) & (begun[1:] == 0.0)
+    cut = told & (gained[1:] > 0.0)
+    return bool(cut.sum() + 0.5 < RARELY_CUT * (told.sum() + 1.0))
 
 
-def paired_widths(
-    on_time_s: Array, pulses: Array, most_pulses: float = MOST_PULSES
-) -> tuple[float, ...]:
+def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:
     """Widths of an event's pulses, each the mean of its firing, as quantiles, s; none without any.
 
     Parameters
     ----------
     on_time_s, pulses
         (m, K) readings of the counters around every change.
-    most_pulses
-        Of a firing, as in :func:`.firings`.
     """
     found = [np.zeros(0)]
     for gained, begun in zip(np.diff(on_time_s, axis=0).T, np.diff(pulses, axis=0).T, strict=True):
-        own = firings(gained, begun, most_pulses)
+        own = firings(gained, begun)
         found.append(np.repeat(own.seconds / own.pulses, own.pulses.astype(np.int64)))
     return _typical(np.maximum(np.concatenate(found), 0.0), QUANTILES, 1)
 

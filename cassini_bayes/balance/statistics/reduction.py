@@ -67,7 +67,6 @@ def reduce_chunks(
         sampling,
         widths_s=prepared.widths_s,
         unsure_s=prepared.unsure_s,
-        firing_pulses=prepared.firing_pulses,
         gaps_s=prepared.gaps_s or (sampling.control_cycle_s,),
         paired_s=prepared.paired_s or sampling.paired_s,
         block_s=prepared.late.block_s,

@@ -37,7 +37,6 @@ from scipy.linalg import cholesky_banded, solveh_banded
 
 from cassini_bayes.balance.statistics.counters import (
     LEAST_RUNS,
-    MOST_PULSES,
     Firings,
     are_quantised,
     cut_phase,
@@ -110,13 +109,7 @@ class Rounding:
 KNOWN: Final = Rounding()
 
 
-def expected_on_times(
-    on_time_s: Array,
-    pulses: Array,
-    step_s: float,
-    quantum_s: float,
-    most_pulses: float = MOST_PULSES,
-) -> OnTimes:
+def expected_on_times(on_time_s: Array, pulses: Array, step_s: float, quantum_s: float) -> OnTimes:
     """What is expected of the commanded on-times, given rounded readings.
 
     Parameters
@@ -127,8 +120,6 @@ def expected_on_times(
         Their step, s; 0 where they are not rounded.
     quantum_s
         What commands may be multiples of (a control cycle), s; 0 for any width.
-    most_pulses
-        Of a firing, as in :func:`.firings`.
     """
     thrusters = range(on_time_s.shape[1])
     if step_s < LEAST_STEP_S:
@@ -137,13 +128,13 @@ def expected_on_times(
         phase_s = cut_phase(on_time_s, step_s, quantum_s)
         gained = whole_cycles(on_time_s - on_time_s[0], quantum_s, phase_s)
         return OnTimes(on_time_s[0] + gained, (KNOWN,) * len(thrusters))
-    return _smoothed(on_time_s, pulses, step_s, most_pulses)
+    return _smoothed(on_time_s, pulses, step_s)
 
 
-def _smoothed(on_time_s: Array, pulses: Array, step_s: float, most_pulses: float) -> OnTimes:
+def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
     """Expected cumulative on-times (m, K), and what stays open."""
     change, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
-    fired = [firings(*each, most_pulses) for each in zip(change.T, begun.T, strict=True)]
+    fired = [firings(*each) for each in zip(change.T, begun.T, strict=True)]
     telling = [k for k, own in enumerate(fired) if len(own.seconds) >= LEAST_RUNS]
     white = step_s**2 / 12.0
     result = np.array(on_time_s, dtype=np.float64)

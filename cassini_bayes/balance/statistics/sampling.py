@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cassini_bayes.balance.statistics.counters import MOST_PULSES
 from cassini_bayes.balance.statistics.long_levels import NO_LEVELS, LongLevels
 from cassini_bayes.balance.statistics.pulse_columns import PulseBasis
 from cassini_bayes.balance.statistics.rows import SAME_S
@@ -80,10 +79,9 @@ class Sampling:
     event have the same measure of flat motion (:mod:`cassini_bayes.balance.flat_motion`). Those of
     ``noise_to_see`` are taken from the event where it shows them (:mod:`.channel_noise`).
     ``widths_s`` are what pulses of the event are like, all as likely, ``unsure_s`` how well the
-    on-time of a firing is known (:class:`.PulseBasis`), ``firing_pulses`` how many pulses of
-    intervals in a row are one firing at most (:func:`.firings`), ``gaps_s`` the times after which
-    close ones follow (without, a control cycle), and ``paired_s`` the widths of pulses, means over
-    firings, all as likely (without, pulses of steady thrust). With a
+    on-time of a firing is known (:class:`.PulseBasis`), and
+    ``gaps_s`` the times after which close ones follow (without, a control cycle), ``paired_s`` the
+    widths of pulses, means over firings, all as likely (without, pulses of steady thrust). With a
     ``block_s``, rows are means over blocks of that length of those at readings of the counters,
     ``block_rows`` of them usually, whatever is still being delivered then (:mod:`.late`).
     ``levels`` are roundings of counters that are unknowns.
@@ -102,7 +100,6 @@ class Sampling:
     noise_to_see: tuple[str, ...] = ()
     widths_s: tuple[float, ...] = ()
     unsure_s: float = 0.0
-    firing_pulses: float = MOST_PULSES
     gaps_s: tuple[float, ...] = ()
     paired_s: tuple[float, ...] = (STEADY_S,)
     block_s: float = 0.0
