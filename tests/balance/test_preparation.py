@@ -8,6 +8,7 @@ import pytest
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
+    are_rarely_cut,
     begin_with_cycles,
     channel_step,
     close_gaps,
@@ -18,16 +19,6 @@ from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.computing.arrays import Array
 
 CYCLE_S = 0.125
-
-
-def readings(on_time: Array, every_s: float = 1.0) -> Array:
-    """Times (m,) of readings."""
-    return every_s * np.arange(len(on_time))
-
-
-def of_seconds(on_time: Array, pulses: Array) -> Array:
-    """Widths of single pulses with readings every second."""
-    return single_widths(readings(on_time), on_time, on_time, pulses)
 
 
 def counted(widths: Array) -> tuple[Array, Array]:
@@ -44,7 +35,7 @@ def test_pulses_of_whole_cycles_leave_a_cycle(cycles: int, step: float) -> None:
     """Their successors come a cycle later, also where rounding moves a width by a step."""
     on_time, pulses = counted(np.full(40, cycles * CYCLE_S))
     shown = step * np.round(on_time / step) if step else on_time
-    assert close_gaps(of_seconds(shown, pulses), step, CYCLE_S) == pytest.approx(
+    assert close_gaps(single_widths(shown, shown, pulses), step, CYCLE_S) == pytest.approx(
         [CYCLE_S] * QUANTILES
     )
 
@@ -56,30 +47,38 @@ def test_short_pulses_leave_what_remains_of_their_cycle() -> None:
     """
     widths = np.linspace(0.02, 0.1, 200)
     on_time, pulses = counted(widths)
-    found = close_gaps(of_seconds(on_time, pulses), 0.001, CYCLE_S)
+    found = close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S)
     expected = np.quantile(CYCLE_S - widths, (np.arange(QUANTILES) + 0.5) / QUANTILES)
     assert found == pytest.approx(expected, abs=1e-3)
     company = on_time + 0.01 * np.arange(len(on_time))[:, None]
-    assert close_gaps(of_seconds(company, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(company, company, pulses), 0.001, CYCLE_S) == ()
 
 
-def test_pulses_of_long_intervals_are_single_in_company() -> None:
-    """A thruster with 50 ms in every interval, another with 62 ms in every third.
+def test_pulses_that_readings_hardly_ever_cut_are_single_in_company() -> None:
+    """A thruster with 50 ms in nearly every interval, another with 62 ms in every third.
 
-    Of intervals of a second one pulse in twenty is cut by a reading, so that only those count that
-    stand alone. Of ten seconds one in two hundred is: all of both thrusters count. (With those of
-    the second thruster alone, 50 ms were too short for any pulse of the event, and two of them were
-    taken to last anything.)
+    Of readings that cut no pulse all count that are alone in their interval, but those that begin
+    with its end and have no on-time yet. (With those of the second thruster alone, 50 ms were
+    too short for any pulse of the event, and two of them were taken to last anything.) Where one
+    pulse in twenty runs on into the next interval, only those count that stand alone.
     """
     other, pulses_of_other = counted(np.full(40, 0.062))
-    steady = 0.05 * np.arange(len(other))[:, None]
+    fires = (np.arange(len(other)) % 9 > 0).astype(float)
+    steady = np.cumsum(0.05 * fires)[:, None]
     on_time = np.hstack([steady, other])
-    pulses = np.hstack([np.round(steady / 0.05), pulses_of_other])
-    every_second = of_seconds(on_time, pulses)
-    assert np.unique(every_second.round(6)) == pytest.approx([0.062])
-    found = single_widths(readings(on_time, 10.0), on_time, on_time, pulses)
+    pulses = np.hstack([np.cumsum(fires)[:, None], pulses_of_other])
+    assert are_rarely_cut(on_time, pulses)
+    found = single_widths(on_time, on_time, pulses)
     assert np.unique(found.round(6)) == pytest.approx([0.05, 0.062])
-    assert len(found) == (len(other) - 3) + 39  # of 120 and 40: not of the first and last interval
+    begins = on_time.copy()
+    begins[11, 0] = begins[10, 0]  # counted, and fired after the reading
+    later = single_widths(begins, begins, pulses)
+    assert np.unique(later.round(6)) == pytest.approx([0.05, 0.062, 0.1])
+    cut = on_time.copy()
+    cut[8::18, 0] -= 0.03  # what is left comes in an interval in which no pulse begins
+    assert not are_rarely_cut(cut, pulses)
+    alone = single_widths(cut, cut, pulses)
+    assert np.unique(alone.round(6)) == pytest.approx([0.062])
 
 
 def test_no_width_is_below_zero() -> None:
@@ -89,7 +88,7 @@ def test_no_width_is_below_zero() -> None:
     shown = 0.1 * np.round(on_time / 0.1)
     expected = expected_on_times(shown, pulses, 0.1, CYCLE_S).on_time_s
     assert np.diff(expected, axis=0).min() < 0.0
-    assert single_widths(readings(expected), expected, shown, pulses).min() == 0.0
+    assert single_widths(expected, shown, pulses).min() == 0.0
 
 
 def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
@@ -107,9 +106,9 @@ def test_pulses_of_pairs_have_the_mean_width_of_their_firing() -> None:
 def test_few_pulses_and_unknown_cycles_say_nothing() -> None:
     """Then the likelihood takes a control cycle."""
     on_time, pulses = counted(np.full(LEAST_ALONE - 1, 0.05))
-    assert close_gaps(of_seconds(on_time, pulses), 0.001, CYCLE_S) == ()
+    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, CYCLE_S) == ()
     on_time, pulses = counted(np.full(40, 0.05))
-    assert close_gaps(of_seconds(on_time, pulses), 0.001, 0.0) == ()
+    assert close_gaps(single_widths(on_time, on_time, pulses), 0.001, 0.0) == ()
 
 
 def test_few_values_one_step_apart_tell_the_step() -> None:

@@ -159,11 +159,11 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     """
     begun = np.diff(pulses, axis=0)
     fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
-    alone = fired[1:-1] & (begun[1:-1] == 1.0)
+    alone = ~fired[:-2] & ~fired[2:]
     if are_rarely_cut(on_time_s, pulses):
-        alone &= np.diff(on_time_s, axis=0)[1:-1] > 0.0
-    else:
-        alone &= ~fired[:-2] & ~fired[2:]
+        # without on-time it has just begun, and the next interval has it
+        alone |= np.diff(on_time_s, axis=0)[1:-1] > 0.0
+    alone &= begun[1:-1] == 1.0
     return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
 
