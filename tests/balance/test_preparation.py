@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cassini_bayes.balance.statistics.counters import are_rarely_cut, single_widths
 from cassini_bayes.balance.statistics.preparation import (
     LEAST_ALONE,
     QUANTILES,
-    are_rarely_cut,
     begin_with_cycles,
     channel_step,
     close_gaps,
     paired_widths,
-    single_widths,
 )
 from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
 from cassini_bayes.computing.arrays import Array

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from counter_cases import CYCLE_S, readings
 
-from cassini_bayes.balance.statistics.counters import firings
+from cassini_bayes.balance.statistics.counters import single_widths
 from cassini_bayes.balance.statistics.rounded_counters import (
     KNOWN,
     Rounding,
@@ -320,14 +320,12 @@ def test_two_kinds_are_told_by_a_gap_that_no_width_leaves() -> None:
     """One width shows two readings, so that 24 ms alone has no kinds; nor has 24 and 41 ms."""
     rng = np.random.default_rng(3)
     shown, _, pulses = of_two_kinds(rng, (0.024, 0.062), 0.001)
-    own = firings(np.diff(shown[:, 0]), np.diff(pulses[:, 0]))
-    kinds = kinds_of([own], 0.01)
+    kinds = kinds_of(single_widths(shown, shown, pulses), 0.01)
     assert kinds is not None
     assert kinds.width_s == pytest.approx([0.024, 0.062], abs=2e-3)
     for widths in ((0.024, 0.024), (0.024, 0.041)):
         shown, _, pulses = of_two_kinds(rng, widths, 0.001)
-        own = firings(np.diff(shown[:, 0]), np.diff(pulses[:, 0]))
-        assert kinds_of([own], 0.01) is None
+        assert kinds_of(single_widths(shown, shown, pulses), 0.01) is None
 
 
 def test_the_only_pulse_of_its_kind_is_unsure() -> None:

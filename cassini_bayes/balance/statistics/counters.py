@@ -11,6 +11,7 @@ from cassini_bayes.computing.arrays import Array, Places
 LEAST_VALUES: Final = 5  # different readings that show a step
 LEAST_RUNS: Final = 3  # firings: two have one difference, which tells no spread
 MOST_PULSES: Final = 32.0  # of a firing: by 1/32 of a pulse each is its mean width off at most
+RARELY_CUT: Final = 0.04  # of pulses, by a reading: so few are no kind of their own (judgement)
 MOST_WHOLE: Final = 0.5  # of readings, that cut no pulse: a controller with two widths has fewer
 _SLACK: Final = 1e-6  # s, of floating-point numbers that are multiples of a step
 
@@ -44,6 +45,50 @@ def firings(gained_s: Array, begun: Array, most_pulses: float = MOST_PULSES) -> 
     number = np.cumsum(starts, dtype=np.int64)
     seconds = np.bincount(number, gained_s[active]).astype(np.float64)
     return Firings(active, number, seconds, np.maximum(np.bincount(number, begun[active]), 1.0))
+
+
+def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
+    """Widths of single pulses, of all thrusters, s.
+
+    A pulse is single if it is the only one of its interval, and nothing fires in the intervals
+    before and after: a reading may have cut it. Where readings rarely do (:func:`are_rarely_cut`),
+    as those ten seconds apart, every pulse is that is the only one of its interval. A thruster that
+    fires in nearly all intervals would have none otherwise, and the widths of others would stand
+    for its own.
+
+    What is expected of rounded counters may be some milliseconds below zero: then it is zero.
+
+    Parameters
+    ----------
+    expected_s
+        (m, K) on-times that the widths are taken from.
+    on_time_s, pulses
+        (m, K) readings of the counters around every change, by which a pulse is single.
+    """
+    begun = np.diff(pulses, axis=0)
+    fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
+    alone = ~fired[:-2] & ~fired[2:]
+    if are_rarely_cut(on_time_s, pulses):
+        # without on-time it has just begun, and the next interval has it
+        alone |= np.diff(on_time_s, axis=0)[1:-1] > 0.0
+    alone &= begun[1:-1] == 1.0
+    return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
+
+
+def are_rarely_cut(on_time_s: Array, pulses: Array) -> bool:
+    """Whether readings hardly ever cut a pulse, or find it as it begins (:data:`RARELY_CUT`).
+
+    Where no pulse begins in an interval, what it has is the rest of one from before.
+
+    Parameters
+    ----------
+    on_time_s, pulses
+        (m, K) readings of the counters around every change.
+    """
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    told = (begun[:-1] > 0.0) & (begun[1:] == 0.0)
+    cut = told & (gained[1:] > 0.0)
+    return bool(cut.sum() + 0.5 < RARELY_CUT * (told.sum() + 1.0))
 
 
 def counter_step(on_time_s: Array, pulses: Array) -> float:

@@ -18,6 +18,7 @@ from cassini_bayes.balance.statistics.counters import (
     counter_step,
     delivered_pulses,
     firings,
+    single_widths,
 )
 from cassini_bayes.balance.statistics.event_statistics import COARSE_STEP_S, ChannelSteps
 from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
@@ -30,7 +31,6 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 LOOKED_AT: Final = 4_096  # rows, for the steps of rates and wheel rates
 LEAST_VALUES: Final = 20  # different ones: fewer look rounder than they are
 LEAST_ALONE: Final = 20  # pulses: the widths of fewer are not those of all
-RARELY_CUT: Final = 0.025  # of pulses, by a reading: so few are no kind of their own
 LEAST_CUT: Final = 8  # pulses that readings cut, to tell whether they begin with cycles (judgement)
 ALIKE: Final = 0.85  # of them, that begin the same time into a cycle where all pulses do
 SLACK_S: Final = 1e-3  # of the times of readings
@@ -137,50 +137,6 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     on_times = (time, expected.on_time_s, pulses)
     found = Preparation(steps, noise, *on_times, expected.rounding, gaps, paired, widths, late)
     return Prepared(found, end_s)
-
-
-def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
-    """Widths of single pulses, of all thrusters, s.
-
-    A pulse is single if it is the only one of its interval, and nothing fires in the intervals
-    before and after: a reading may have cut it. Where readings rarely do (:func:`are_rarely_cut`),
-    as those ten seconds apart, every pulse is that is the only one of its interval. A thruster that
-    fires in nearly all intervals would have none otherwise, and the widths of others would stand
-    for its own.
-
-    What is expected of rounded counters may be some milliseconds below zero: then it is zero.
-
-    Parameters
-    ----------
-    expected_s
-        (m, K) on-times that the widths are taken from.
-    on_time_s, pulses
-        (m, K) readings of the counters around every change, by which a pulse is single.
-    """
-    begun = np.diff(pulses, axis=0)
-    fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
-    alone = ~fired[:-2] & ~fired[2:]
-    if are_rarely_cut(on_time_s, pulses):
-        # without on-time it has just begun, and the next interval has it
-        alone |= np.diff(on_time_s, axis=0)[1:-1] > 0.0
-    alone &= begun[1:-1] == 1.0
-    return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
-
-
-def are_rarely_cut(on_time_s: Array, pulses: Array) -> bool:
-    """Whether readings hardly ever cut a pulse, or find it as it begins (:data:`RARELY_CUT`).
-
-    Where no pulse begins in an interval, what it has is the rest of one from before.
-
-    Parameters
-    ----------
-    on_time_s, pulses
-        (m, K) readings of the counters around every change.
-    """
-    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
-    told = (begun[:-1] > 0.0) & (begun[1:] == 0.0)
-    cut = told & (gained[1:] > 0.0)
-    return bool(cut.sum() + 0.5 < RARELY_CUT * (told.sum() + 1.0))
 
 
 def paired_widths(on_time_s: Array, pulses: Array) -> tuple[float, ...]:

@@ -41,6 +41,7 @@ from cassini_bayes.balance.statistics.counters import (
     are_quantised,
     cut_phase,
     firings,
+    single_widths,
     whole_cycles,
 )
 from cassini_bayes.computing.arrays import Array, Flags, Places
@@ -140,7 +141,7 @@ def _smoothed(on_time_s: Array, pulses: Array, step_s: float) -> OnTimes:
     result = np.array(on_time_s, dtype=np.float64)
     left = [Rounding(step_s, white) if len(own.active) > 0 else KNOWN for own in fired]
     company = _company((change > 0.0) | (begun > 0.0), [fired[k] for k in telling])
-    kinds = kinds_of([fired[k] for k in telling], step_s)
+    kinds = kinds_of(single_widths(on_time_s, on_time_s, pulses), step_s)
     told = _spreads_by_company([fired[k] for k in telling], company, kinds, white)
     for k, (spreads, longer) in zip(telling, told, strict=True):
         expected, _ = _expected(fired[k], longer, spreads, white)
@@ -200,9 +201,11 @@ class Kinds:
         return of_kind @ width - own.pulses * _mean_pulse(own), unsure
 
 
-def kinds_of(fired: Sequence[Firings], step_s: float) -> Kinds | None:
-    """Two kinds of pulses, if a gap between readings of single ones is wider than roundings are."""
-    alone = np.concatenate([np.zeros(0), *(own.seconds[own.pulses == 1.0] for own in fired)])
+def kinds_of(alone: Array, step_s: float) -> Kinds | None:
+    """Two kinds of pulses, if a gap between readings of single ones is wider than roundings are.
+
+    ``alone`` (m,) are what counters of a step show of single pulses, s.
+    """
     shown, often = np.unique(np.round(alone / step_s), return_counts=True)
     usual = shown[often >= LEAST_TOGETHER]
     gaps = np.diff(usual)
