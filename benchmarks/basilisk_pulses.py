@@ -34,13 +34,13 @@ import numpy as np
 from closed_loop import answers
 from closed_loop.valve import Valve
 
-from cassini_bayes.balance.linearised import Linear, whitened
+from cassini_bayes.balance.linearised import Linear
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations, thrust_columns
 from cassini_bayes.diagnosis.read import read_events
-from cassini_bayes.diagnosis.rows_and_turns import joined
+from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import MISTAKES, Policy
 from cassini_bayes.spacecraft.attitude import direction_cosines
@@ -92,14 +92,9 @@ def delivered(term: Any, arms_m: Array, truth: Mapping[str, Any]) -> Array:
         sums = np.concatenate([np.zeros((1, 3)), np.cumsum(gained, axis=0)])
         place = np.searchsorted(read_s, rows.time_s + 1e-6, side="right") - 1
         since = valve.effective_s(rows.time_s) - valve.effective_s(read_s[place])
-        now = np.einsum("iba,b->ia", direction_cosines_of(rows), torque)
+        now = np.einsum("iba,b->ia", rows.cosines, torque)
         inertial += sums[place] + since[:, None] * now
-    return np.einsum("iab,ib->ia", direction_cosines_of(rows), inertial)
-
-
-def direction_cosines_of(rows: Any) -> Array:
-    """Rotations (n, 3, 3) from inertial to body axes."""
-    return np.asarray(rows.cosines)
+    return np.asarray(np.einsum("iab,ib->ia", rows.cosines, inertial))
 
 
 def point_of(none: Hypothesis, truth: Mapping[str, Any], share: float) -> Array:
@@ -135,33 +130,24 @@ def told_of(folder: Path, events: Sequence[str], truth: Mapping[str, Any]) -> To
 def at_share(none: Hypothesis, truth: Mapping[str, Any], share: float) -> Told:
     """What a flight says with one share of close pulses."""
     point = point_of(none, truth, share)
-    left = innovations(none, point)
-    linear, turned = joined(none, point, left.linear, left.rows)
-    of_rows, of_turns = [], []
     located = none.model.points(point[None])
-    for place, (term, event, turns) in enumerate(
-        zip(none.model.telemetry, left.rows, turned, strict=True)
-    ):
+    errors = []
+    for place, term in enumerate(none.model.telemetry):
         arms = np.asarray(term.physics(located).arms_m).reshape(3, -1)
         thrusts = truth["events"][term.event.id]["thrust_n"]
         levels = np.array([thrusts[name] for name in term.event.thrusters])
         error = delivered(term, arms, truth) - thrust_columns(none, point, place) @ levels
-        own = error[:, :, None]
-        of_rows.append(whitened(own, event.noise_factor)[:, 0])
-        assert turns.turns is not None
-        integrated = turns.turns.pieces.integrated(error).reshape(own.shape)
-        white = whitened(integrated, turns.noise_factor).reshape(own.shape)
-        of_turns.append(turns.turns.whitened_axes(white).reshape(-1))
+        errors.append(error[:, :, None])
+    beside = BesideMode.of(none, point, innovations(none, point))
+    linear, white = beside.linear, beside.white(side_by_side(errors))  # a column for every event
     gram = linear.gram()
+    by_event = {
+        term.event.id: square_of(linear, gram, own)
+        for term, own in zip(none.model.telemetry, white.T, strict=True)
+    }
     walked = len(point) + none.model.thrust_prior.shared.shape[-1]
     told = 1.0 - linear.precision * np.diag(np.linalg.inv(gram))
-    by_event = {}
-    for i, term in enumerate(none.model.telemetry):
-        alone = np.zeros(len(linear.target))
-        alone[linear.parts[i]] = of_rows[i]
-        alone[linear.parts[len(of_rows) + i]] = of_turns[i]
-        by_event[term.event.id] = square_of(linear, gram, alone)
-    whole = square_of(linear, gram, np.concatenate([*of_rows, *of_turns]))
+    whole = square_of(linear, gram, white.sum(axis=1))
     return Told(whole, float(told[walked:].sum()), share, by_event)
 
 

@@ -66,8 +66,8 @@ class BesideMode:
         linear, turned = joined(hypothesis, z, left.linear, left.rows)
         return cls(linear, linear.about_prior_mean(z), left.rows, turned)
 
-    def information(self, momentum: Sequence[Array]) -> Information:
-        """On further columns of momentum (n, 3, q), N m s, in the rows of every event."""
+    def white(self, momentum: Sequence[Array]) -> Array:
+        """Columns of momentum (n, 3, q), N m s, in every event's rows: (m, q) in units of noise."""
         of_rows, of_turns = [], []
         for event, turns, own in zip(self.rows, self.turned, momentum, strict=True):
             of_rows.append(whitened(own, event.noise_factor))
@@ -75,8 +75,12 @@ class BesideMode:
             integrated = turns.turns.pieces.integrated(own.reshape(len(own), -1))
             white = whitened(integrated.reshape(own.shape), turns.noise_factor).reshape(own.shape)
             of_turns.append(turns.turns.whitened_axes(white).reshape(3 * len(own), -1))
-        columns = np.concatenate([*of_rows, *of_turns])
-        return information(self.linear, self.target, columns, groups=[*range(len(self.rows))] * 2)
+        return np.concatenate([*of_rows, *of_turns])
+
+    def information(self, momentum: Sequence[Array]) -> Information:
+        """On further columns of momentum (n, 3, q), N m s, in the rows of every event."""
+        groups = [*range(len(self.rows))] * 2
+        return information(self.linear, self.target, self.white(momentum), groups=groups)
 
 
 def side_by_side(apart: Sequence[Array], common: Sequence[Array] = ()) -> list[Array]:

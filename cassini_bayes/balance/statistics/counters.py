@@ -65,12 +65,12 @@ def single_widths(expected_s: Array, on_time_s: Array, pulses: Array) -> Array:
     on_time_s, pulses
         (m, K) readings of the counters around every change, by which a pulse is single.
     """
-    begun = np.diff(pulses, axis=0)
-    fired = (np.diff(on_time_s, axis=0) > 0.0) | (begun > 0.0)
+    gained, begun = np.diff(on_time_s, axis=0), np.diff(pulses, axis=0)
+    fired = (gained > 0.0) | (begun > 0.0)
     alone = ~fired[:-2] & ~fired[2:]
     if are_rarely_cut(on_time_s, pulses):
         # without on-time it has just begun, and the next interval has it
-        alone |= np.diff(on_time_s, axis=0)[1:-1] > 0.0
+        alone |= gained[1:-1] > 0.0
     alone &= begun[1:-1] == 1.0
     return np.asarray(np.maximum(np.diff(expected_s, axis=0)[1:-1][alone], 0.0))
 
