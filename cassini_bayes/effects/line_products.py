@@ -21,7 +21,7 @@ from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.effects.appendage import KnownMotion, oscillation_series, products_of_turns
 from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.effects.line_shapes import SIZES, Direction, Line, even_mixture
-from cassini_bayes.effects.line_starts import Starts
+from cassini_bayes.effects.line_starts import LineStarts
 from cassini_bayes.effects.oscillation import over_trapezoids
 
 
@@ -76,7 +76,7 @@ def many_lines(
     rows: Sequence[InnovationRows],
     motions: Sequence[KnownMotion],
     line: tuple[Array, float],
-    starts: Starts,
+    starts: LineStarts,
 ) -> ManyLines:
     """Inner products of lines of many frequencies (f,), Hz, and one damping."""
     frequencies, damping = line
@@ -117,7 +117,7 @@ class LineProducts:
     rows: Sequence[InnovationRows]
     motions: Sequence[KnownMotion]
     linear: Linear
-    starts: Starts
+    starts: LineStarts
 
     @cached_property
     def along_axes(self) -> Callable[[float, float], tuple[Array, Array]]:

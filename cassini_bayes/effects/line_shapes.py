@@ -10,7 +10,7 @@ left, both with what the baseline takes away taken off,
 in units of S, and the share is not below zero (docs/topics/criticism.md §2). Lines share the
 probability by Z, the prior of their damping, and the frequencies that they stand for. There is a
 cosine and a sine for every free oscillation: one in all events, or P of them
-(:class:`.line_starts.Starts`); a line has 2 P + 1 sizes.
+(:class:`.line_starts.LineStarts`); a line has 2 P + 1 sizes.
 
 How large a swing is nobody knows to an order of magnitude: the scales S are one of several
 (:func:`scales_of_sizes`), K of them, all alike a priori.

@@ -19,7 +19,7 @@ from cassini_bayes.computing.arrays import Array, Places
 
 
 @dataclass(frozen=True)
-class Starts:
+class LineStarts:
     """Which of P free oscillations the rows of an event have, and its turns: (n,) places."""
 
     of_rows: tuple[int, ...]
@@ -35,7 +35,7 @@ class Starts:
         return np.array([2 * place, 2 * place + 1, free, free + 1, free + 2])
 
 
-def starts_of(rows: Sequence[InnovationRows]) -> Starts:
+def starts_of(rows: Sequence[InnovationRows]) -> LineStarts:
     """A free oscillation of its own in every event: in its rows, and in its turns.
 
     Turns are in the order of the events, as rows are.
@@ -45,7 +45,7 @@ def starts_of(rows: Sequence[InnovationRows]) -> Starts:
         of_turns = event.turns is not None
         places.append(seen[of_turns])
         seen[of_turns] += 1
-    return Starts(tuple(places))
+    return LineStarts(tuple(places))
 
 
 def in_common(count: int, swings: int) -> Array:

@@ -173,6 +173,15 @@ def refuse_other_run(path: Path, now: Provenance, settings: Mapping[str, Any]) -
     )
 
 
+def changed_inputs(path: Path, digests: Mapping[str, str]) -> tuple[str, ...]:
+    """Inputs, name → SHA-256, whose content is not that of a run's record; none without one."""
+    try:
+        earlier = read_provenance(path)
+    except InputError:
+        return ()
+    return tuple(_changed_content(earlier.digests, digests))
+
+
 def _began_with(path: Path) -> Mapping[str, Any]:
     """Settings that a run says it is of; none where they cannot be read."""
     try:
@@ -204,13 +213,16 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 def _changed_record(earlier: Mapping[str, Any], now: Provenance) -> list[str]:
     """Files whose content is another, and libraries of another version."""
-    digests, versions = earlier.get("sha256", {}), earlier.get("versions", {})
-    files = [name for name, own in now.digests.items() if digests.get(name, own) != own]
-    return [f"the content of {name}" for name in files] + [
+    versions = earlier.get("versions", {})
+    return _changed_content(earlier.get("sha256", {}), now.digests) + [
         f"{name} {own} (was {versions[name]})"
         for name, own in now.versions.items()
         if versions.get(name, own) != own
     ]
+
+
+def _changed_content(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    return [f"the content of {name}" for name, own in now.items() if before.get(name, own) != own]
 
 
 def library_versions() -> dict[str, str]:

@@ -24,9 +24,10 @@ from cassini_bayes.files.code import code_digest
 from cassini_bayes.files.storage import remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
+from cassini_bayes.pipeline.provenance import changed_inputs
 from cassini_bayes.pipeline.run import Reporter
 from cassini_bayes.pipeline.run_file import RunFile
-from cassini_bayes.prediction.sources import RESOLVED
+from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.fitting import stop_rule_held
 from cassini_bayes.results.record import FIT_FILE, Fit, read_fit
@@ -114,7 +115,8 @@ def execute_sweep(
         )
     inputs, fit = _read(run, base, folder, reporter)
     factory = factory_of(run, inputs)
-    planned = plan(factory, fit, sweep, where, str(folder / FIT_FILE))
+    changed = changed_inputs(folder / PROVENANCE, inputs.digests)
+    planned = plan(factory, fit, sweep, where, str(folder / FIT_FILE), changed)
     target = folder / FOLDER
     store = _store(planned, target, inputs)
     write_text(target / RESOLVED, tomli_w.dumps(sweep.model_dump()))

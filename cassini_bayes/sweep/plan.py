@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -70,11 +70,17 @@ class Sweep:
 
 
 def plan(
-    factory: ModelFactory, fit: Fit, sweep: SweepFile, where: str, fit_file: str = FIT_FILE
+    factory: ModelFactory,
+    fit: Fit,
+    sweep: SweepFile,
+    where: str,
+    fit_file: str = FIT_FILE,
+    changed: Sequence[str] = (),
 ) -> Sweep:
     """Read the draws of a fit and lay out the cells.
 
-    ``where`` and ``fit_file`` are what refusals call the sweep file and the fit's.
+    ``where`` and ``fit_file`` are what refusals call the sweep file and the fit's; ``changed`` are
+    inputs that are known to be others than those of the fit.
 
     Raises
     ------
@@ -102,7 +108,7 @@ def plan(
         batches=batch_labels(posterior.sizes["chain"], posterior.sizes["draw"]),
         seed=sweep.seed,
     )
-    _refuse_other_fit(model, z, baseline.log_likelihood, fit_file)
+    _refuse_other_fit(model, z, baseline.log_likelihood, fit_file, changed)
     _refuse_older_fit(model, factory, fit, fit_file)
     cells = grid_of(
         _groups(factory, sweep, where),
@@ -150,7 +156,9 @@ def _groups(factory: ModelFactory, sweep: SweepFile, where: str) -> tuple[Group,
     return tuple(blocks.values())
 
 
-def _refuse_other_fit(model: SweepModel, z: Array, log_likelihood: Array, fit_file: str) -> None:
+def _refuse_other_fit(
+    model: SweepModel, z: Array, log_likelihood: Array, fit_file: str, changed: Sequence[str]
+) -> None:
     """Refuse draws whose stored log density the model does not give back."""
     rows = np.linspace(0, len(z) - 1, _CHECKED).astype(int)
     worst = float(np.max(np.abs(model.log_likelihood(z[rows]) - log_likelihood[rows])))
@@ -159,7 +167,7 @@ def _refuse_other_fit(model: SweepModel, z: Array, log_likelihood: Array, fit_fi
             fit_file,
             "a fit of these events and priors",
             f"log densities that differ by {worst:.3g}",
-            "run the fit again: data, priors or the model have changed since",
+            f"run the fit again: {', '.join(changed) or 'its data or the model'} changed since",
         )
 
 

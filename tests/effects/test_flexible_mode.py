@@ -22,7 +22,7 @@ from cassini_bayes.effects.appendage import known_motion
 from cassini_bayes.effects.effect import Remainder, Setting
 from cassini_bayes.effects.flexible_mode import drawn, search
 from cassini_bayes.effects.line_search import find_oscillation
-from cassini_bayes.effects.line_starts import Starts
+from cassini_bayes.effects.line_starts import LineStarts
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import read_priors
@@ -201,7 +201,7 @@ def test_flights_that_start_anew_are_one_appendage(monkeypatch: pytest.MonkeyPat
         if key in sizes:
             low, high = np.quantile(sizes[key], [0.01, 0.99])
             assert low < value < high, key
-    monkeypatch.setattr(line_search, "starts_of", lambda rows: Starts((0,) * len(rows)))
+    monkeypatch.setattr(line_search, "starts_of", lambda rows: LineStarts((0,) * len(rows)))
     alike = search(left, priors)
     assert alike is not None
     assert found.log_gain - found.log_looks > alike.log_gain - alike.log_looks + 30.0

@@ -20,7 +20,7 @@ from cassini_bayes.effects.flexible_mode import drawn
 from cassini_bayes.effects.line_directions import BODY_AXES
 from cassini_bayes.effects.line_search import find_oscillation
 from cassini_bayes.effects.line_shapes import DAMPED, SIZES, UNDAMPED
-from cassini_bayes.effects.line_starts import Starts
+from cassini_bayes.effects.line_starts import LineStarts
 from cassini_bayes.effects.oscillation import Oscillation
 from cassini_bayes.priors.reader import read_priors
 
@@ -190,7 +190,7 @@ def test_events_that_each_start_anew_have_a_line_together(monkeypatch: pytest.Mo
     known = scale**2 * len(TIME) / 2.0
     cost = np.log1p(known) - np.log1p(EVENTS * known) / EVENTS
     assert own.log_start == pytest.approx(cost, abs=0.3)
-    monkeypatch.setattr(line_search, "starts_of", lambda rows: Starts((0,) * len(rows)))
+    monkeypatch.setattr(line_search, "starts_of", lambda rows: LineStarts((0,) * len(rows)))
     of_own = ringing(phases, 6.0, np.random.default_rng(12))
     of_same = ringing(np.zeros(EVENTS), 6.0, np.random.default_rng(13))
     assert of_own is not None

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 import tomli_w
 from numpy.typing import NDArray
-from run_cases import Forked, command, small_table, write_run
+from run_cases import B_BRANCH, Forked, command, small_table, write_run
 from sweep_cases import small_fit, toy_baseline
 
 from cassini_bayes.computing.workers import LocalWorkers, workers_at
@@ -23,7 +23,8 @@ from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.pieces import finished as finished_cell
 from cassini_bayes.files.pieces import run_pieces
-from cassini_bayes.files.storage import is_leftover
+from cassini_bayes.files.storage import digest, is_leftover
+from cassini_bayes.pipeline.provenance import recorded
 from cassini_bayes.report.sweep import BEGIN, END, with_section
 from cassini_bayes.results.record import save_fit
 from cassini_bayes.sweep.cells import cell_arrays
@@ -221,6 +222,27 @@ def test_no_scheduler_and_no_fit_are_said(
     assert "run it first" in capsys.readouterr().err
     with pytest.raises(InputError, match="Dask scheduler"), workers_at(1, "nonsense://nowhere"):
         pass
+
+
+def test_a_changed_input_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Priors edited since the fit are named; without a record of the run (control) none are."""
+    priors, run = tmp_path / "priors.toml", tmp_path / "small"
+    priors.write_bytes(B_BRANCH.read_bytes())
+    write_run(tmp_path, small_table() | {"priors": "priors.toml"})
+    run.mkdir()
+    save_fit(small_fit()[1], run / "fit.nc")
+    record = run / "provenance.json"
+    record.write_text(recorded({}, {"priors.toml": digest(priors)}, 1, ()).as_json())
+    arguments = (tmp_path, write_spec(tmp_path), "--jobs", "1", "--quiet", "--no-report")
+    text = priors.read_text("utf-8")
+    old = '[parameters.tau_fall_s]\ndist = "norm"\nloc = 0.050'
+    assert old in text
+    priors.write_text(text.replace(old, old.replace("0.050", "0.060")), "utf-8")
+    assert sweep(*arguments) == 2
+    assert "fit again: the content of priors.toml changed since" in capsys.readouterr().err
+    record.unlink()
+    assert sweep(*arguments) == 2
+    assert "fit again: its data or the model changed since" in capsys.readouterr().err
 
 
 def test_sweep_files_are_checked() -> None:

@@ -166,9 +166,10 @@ def read_mission_file(path: Path) -> MissionTable:
     Raises
     ------
     InputError
-        As :func:`validated`; dated facts or readings out of order; a swap without its branch; a
-        parameter that two facts change at one moment; a blowdown law or a drift without the
-        hydrazine used; a recharge with a law that does not know the pressure after it.
+        As :func:`validated`; dated facts or readings out of order; a swap without its branch, or to
+        the branch in use; a parameter that two facts change at one moment; a blowdown law or a
+        drift without the hydrazine used; a recharge with a law that does not know the pressure
+        after it.
     """
     return check_mission(read_toml(path, "a mission file"), str(path))
 
@@ -195,14 +196,7 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
                 str(used),
                 "give the hydrazine used since launch, not what is left",
             )
-    for place, fact in enumerate(mission.dated, start=1):
-        if fact.what == "branch_swap" and fact.branch is None:
-            raise InputError(
-                f"{where}: dated[{place}].branch",
-                "the branch in use from then on",
-                "nothing",
-                'add branch = "B"',
-            )
+    _require_branches(mission.dated, where)
     _refuse_changed_twice(mission.dated, where)
     shape_named(mission.pulse_shape, f"{where}: pulse_shape")
     law = None if mission.pressure is None else mission.pressure.blowdown
@@ -223,6 +217,29 @@ def check_mission(table: Mapping[str, object], where: str) -> MissionTable:
             "add recharge_kpa",
         )
     return mission
+
+
+def _require_branches(dated: Sequence[DatedTable], where: str) -> None:
+    """Refuse a swap without its branch, and one to the branch that the swap before it led to."""
+    in_use: DatedTable | None = None
+    for place, fact in enumerate(dated, start=1):
+        if fact.what != "branch_swap":
+            continue
+        if fact.branch is None:
+            raise InputError(
+                f"{where}: dated[{place}].branch",
+                "the branch in use from then on",
+                "nothing",
+                'add branch = "B"',
+            )
+        if in_use is not None and fact.branch == in_use.branch:
+            raise InputError(
+                f"{where}: dated[{place}].branch",
+                f"another branch than {in_use.branch}, in use since the swap of {in_use.epoch}",
+                f"{fact.branch} again, on {fact.epoch}",
+                "mend the branch or the date, or add the swap back between them",
+            )
+        in_use = fact
 
 
 def _refuse_changed_twice(dated: Sequence[DatedTable], where: str) -> None:

@@ -180,6 +180,18 @@ def test_forecasts_that_cannot_be_are_refused(
         circumstances_of(asking(utc(2012, 1, 1), "B"), still, "mission.toml")
 
 
+def swap_to(branch: str, epoch: Any) -> dict[str, Any]:
+    """A dated swap."""
+    return {"epoch": epoch, "what": "branch_swap", "branch": branch, "source": "x"}
+
+
+def test_swaps_there_and_back_are_read() -> None:
+    """To B, back to A, and to B again."""
+    dates = zip("BAB", (2009, 2010, 2011), strict=True)
+    mission = mission_table(dated=[swap_to(b, utc(year, 3, 12)) for b, year in dates])
+    assert [fact.branch for fact in mission.dated] == ["B", "A", "B"]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -188,6 +200,10 @@ def test_forecasts_that_cannot_be_are_refused(
             {"dated": [{"epoch": utc(2009, 3, 12), "what": "branch_swap", "source": "x"}]},
             r"dated\[1\].branch: expected the branch in use from then on",
         ),
+        (
+            {"dated": [swap_to("B", utc(2009, 3, 12)), swap_to("B", utc(2010, 3, 12))]},
+            r"dated\[2\].branch: expected another branch than B, in use since .* 2009-03-12",
+        ),
         ({"dated": [{"epoch": utc(2009, 3, 12), "what": "swop", "source": "x"}]}, "branch_swap"),
         ({"pulse_shape": "square"}, "pulse_shape: expected one of"),
         ({"drift": {"cm_x_m": KNOWN_DRIFT}}, r"propellant: .*which \[drift\] needs, got no such"),
@@ -195,7 +211,7 @@ def test_forecasts_that_cannot_be_are_refused(
     ],
 )
 def test_mission_files_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
-    """A swap without a date or a branch, an unknown fact, an unknown pulse shape."""
+    """A swap without a date or branch, or to that in use; an unknown fact or pulse."""
     with pytest.raises(InputError, match=message):
         mission_table(**change)
 
