@@ -10,10 +10,12 @@ every trial. The package is met through its command line alone.
 ``--recordings``  the six recordings of ``tests/data/basilisk``, anew
 ``--fly``         one scene, with an effect or without
 ``--trials``      fly and diagnose trials; one JSON file each, those that exist are kept
+``--judge``       diagnose trials anew whose telemetry ``--flights`` kept
 ``--summary``     what finished trials say, and with ``--table`` a row (CSV) of each
 
 Needs Basilisk (``pip install bsk``), which is no dependency of the package: without it this script
-says so and ends, but for ``--summary``, which needs scipy (the package's environment has it).
+says so and ends, but for ``--judge`` and ``--summary``, which needs scipy (the package's
+environment has it).
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
+
+from closed_loop import trials  # knows Basilisk only once it flies
 
 ROOT = Path(__file__).parents[1]
 
@@ -37,6 +41,7 @@ def read_options() -> argparse.Namespace:
     what.add_argument("--recordings", action="store_true")
     what.add_argument("--fly", type=Path, metavar="DIR", help="folder to write")
     what.add_argument("--trials", metavar="A:B", help="numbers of the trials, B not among them")
+    what.add_argument("--judge", metavar="A:B", help="the same of trials that were flown")
     what.add_argument("--summary", action="store_true")
     parser.add_argument("--table", type=Path, metavar="FILE", help="to write with --summary")
     parser.add_argument("--seed", type=int, default=20270214, help="of scenes and trials")
@@ -44,10 +49,14 @@ def read_options() -> argparse.Namespace:
     parser.add_argument("--effect", help="to hide with --fly: a name")
     parser.add_argument("--parameters", type=json.loads, default={}, help="its parameters, as JSON")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "basilisk", help="of trials")
+    parser.add_argument("--flights", type=Path, help="--out of the trials to --judge")
     parser.add_argument("--command", default="cassini-bayes", help="the package's command line")
     parser.add_argument("--fit", action="store_true", help="fit each trial, too")
     parser.add_argument("--keep", action="store_true", help="keep the telemetry of trials")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if options.judge and options.flights in (None, options.out):
+        parser.error("--judge needs --flights, another folder than --out")
+    return options
 
 
 def summarise(out: Path, table: Path | None) -> int:
@@ -64,26 +73,47 @@ def summarise(out: Path, table: Path | None) -> int:
     return 0
 
 
+def numbers(asked: str) -> range:
+    """Numbers of trials, from A to before B of A:B."""
+    first, _, end = asked.partition(":")
+    return range(int(first), int(end))
+
+
+def setting_of(options: argparse.Namespace) -> trials.Setting:
+    """The campaign that the command line asks for."""
+    return trials.Setting(
+        options.seed, options.given, options.out, options.command, options.fit, options.keep
+    )
+
+
+def say(line: str) -> None:
+    """A line of a long campaign, at once."""
+    print(line, flush=True)
+
+
 def main() -> int:
     """Do what was asked for; exit status 1 where a check failed."""
     options = read_options()
     if options.summary:
         return summarise(options.out, options.table)
-    from closed_loop import trials  # knows Basilisk only once it flies
-
+    if options.judge:
+        for index in numbers(options.judge):
+            trials.judge(setting_of(options), index, options.flights, say)
+        if any(options.out.glob("[0-9]*.json")):
+            return 0
+        print(f"no trials with telemetry in {options.flights} (--keep)", file=sys.stderr)
+        return 1
     if importlib.util.find_spec("Basilisk") is None:
         print("Basilisk is not installed (pip install bsk): no flight", file=sys.stderr)
         return 0
     if options.check:
         from closed_loop import checks
 
-        return 0 if checks.report(lambda line: print(line, flush=True)) else 1
+        return 0 if checks.report(say) else 1
     if options.recordings:
         from closed_loop import recordings
 
-        recordings.write_all(
-            ROOT / "tests" / "data" / "basilisk", lambda line: print(line, flush=True)
-        )
+        recordings.write_all(ROOT / "tests" / "data" / "basilisk", say)
         return 0
     if options.fly is not None:
         from closed_loop import hidden, scene
@@ -92,15 +122,8 @@ def main() -> int:
         drawn = scene.draw_scene(options.seed, options.given)
         scene.write_scene(options.fly, drawn, effects, scene.fly_scene(drawn, effects))
         return 0
-    first, _, end = options.trials.partition(":")
-    for index in range(int(first), int(end)):
-        trials.run(
-            trials.Setting(
-                options.seed, options.given, options.out, options.command, options.fit, options.keep
-            ),
-            index,
-            lambda line: print(line, flush=True),
-        )
+    for index in numbers(options.trials):
+        trials.run(setting_of(options), index, say)
     return 0
 
 

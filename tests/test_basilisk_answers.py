@@ -1,10 +1,11 @@
-"""What the benchmark by another simulator says of finished trials: shares, sizes, its table."""
+"""What the benchmark by another simulator says of finished trials, and that it judges them anew."""
 
 from __future__ import annotations
 
 import csv
 import importlib
 import io
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -25,14 +26,27 @@ CONDITIONS = {
 }
 
 
-@pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The benchmark's module; it needs no Basilisk."""
+COMMAND = """#!/bin/sh
+test "$1" = --version && echo cassini_bayes 9.9 && exit
+echo "$@" >> {log}
+while test "$1" != --out; do shift; done
+mkdir -p "$2" && cp {said} "$2/diagnosis.json"
+"""
+
+
+def module_of(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """A module of the benchmark; it needs no Basilisk."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    module = importlib.import_module("closed_loop.answers")
+    module = importlib.import_module(f"closed_loop.{name}")
     for name in [name for name in sys.modules if name.startswith("closed_loop")]:
         monkeypatch.delitem(sys.modules, name)
     return module
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """What finished trials say."""
+    return module_of("answers", monkeypatch)
 
 
 def trial(index: int, hidden: dict[str, float], causes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -127,3 +141,33 @@ def test_the_table_has_a_row_of_each(answers: ModuleType) -> None:
     assert rows[0]["events"] == "bias slew"
     assert rows[0]["sigma"] == "7.0"
     assert rows[3]["probability"] == "nan"
+
+
+def test_kept_flights_are_judged_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Facts of the flight stay, answers are new and the oracle's go; twice is once.
+
+    What kept no telemetry is left alone.
+    """
+    judge, setting = (getattr(module_of("trials", monkeypatch), n) for n in ("judge", "Setting"))
+    flights, out, log = tmp_path / "flights", tmp_path / "out", tmp_path / "called.txt"
+    record = trials()[0] | {"oracle": {"sigma": 3.0}}
+    for index in (1, 2):
+        (flights / f"{index:05d}" / "record").mkdir(parents=True)
+        (flights / f"{index:05d}.json").write_text(json.dumps(record | {"index": index}))
+    (flights / "00002" / "record").rmdir()
+    told = {"causes": [cause("none", [])], "discrepant": False, "p_value": 0.5, "gain": None}
+    (said := tmp_path / "said.json").write_text(json.dumps(told | {"extended": {"causes": []}}))
+    (command := tmp_path / "command").write_text(COMMAND.format(log=log, said=said))
+    command.chmod(0o755)
+    for index in (1, 1, 2):
+        judge(setting(1, {}, out, str(command), keep=True), index, flights, lambda _: None)
+    assert [path.name for path in sorted(out.glob("*.json"))] == ["00001.json"]
+    own = json.loads((out / "00001.json").read_text())
+    assert own["diagnosis"]["causes"] == told["causes"]
+    assert own["diagnosis"]["exit_status"] == 0
+    assert (own["package"], own["hidden"]) == ("cassini_bayes 9.9", record["hidden"])
+    assert "oracle" not in own
+    (called,) = log.read_text().splitlines()
+    record_folder = out / "00001" / "record"
+    assert called.startswith(f"diagnose {record_folder}/1-bias {record_folder}/2-slew --priors ")
+    assert record_folder.is_dir()

@@ -71,7 +71,7 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
         "seed": setting.seed,
         "scene_seed": scene.seed,
         "given": dict(setting.given),
-        "package": _output([setting.command, "--version"]),
+        "package": _version(setting),
         "stratum": stratum,
         "conditions": scene.record(),
         "hidden": [],
@@ -93,20 +93,45 @@ def run(setting: Setting, index: int, log: Callable[[str], None]) -> None:
         record["free_frequency_hz"] = free_frequency_hz(body, flown[2].slosh)
     record["baseline"] = dict(scene.truth.parameters)  # without what is hidden
     record["truth"] = {"parameters": dict(flown[1].parameters), "thrust_n": dict(flown[1].thrust_n)}
-    events = [str(folder / "record" / event.name) for event in scene.events]
-    inputs = [*events, "--priors", str(folder / "record" / "priors.toml"), "--seed", "1"]
+    _keep(record | _judged(setting, record, folder), record_file, log)
+    if not setting.keep:
+        shutil.rmtree(folder)
+
+
+def judge(setting: Setting, index: int, flights: Path, log: Callable[[str], None]) -> None:
+    """Let the command line judge a trial anew whose telemetry ``flights`` kept, unless it has.
+
+    The record is what it was, but for the answers; those of an oracle go, as it knows the package.
+    """
+    record_file, name = setting.out / f"{index:05d}.json", f"{index:05d}"
+    before, kept = flights / f"{name}.json", flights / name / "record"
+    if record_file.exists() or not before.exists() or not kept.is_dir():
+        return
+    folder = setting.out / name
+    shutil.rmtree(folder, ignore_errors=True)  # of a trial that was cut off
+    shutil.copytree(kept, folder / "record")
+    record = json.loads(before.read_text("utf-8")) | {"package": _version(setting)}
+    record = {key: value for key, value in record.items() if key not in ("oracle", "fit")}
+    _keep(record | _judged(setting, record, folder), record_file, log)
+    if not setting.keep:
+        shutil.rmtree(folder)
+
+
+def _judged(setting: Setting, record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """What the command line says of the telemetry in a trial's folder."""
+    telemetry, kinds = folder / "record", record["conditions"]["events"]
+    events = [str(telemetry / f"{i + 1}-{kind}") for i, kind in enumerate(kinds)]
+    inputs = [*events, "--priors", str(telemetry / "priors.toml"), "--seed", "1"]
     where = ["--out", str(folder / "diagnosis"), "--no-gain"]  # no trial reads it
     said = _called([setting.command, "diagnose", *inputs, *where])
-    record["diagnosis"] = said | read_diagnosis(folder / "diagnosis" / "diagnosis.json")
+    answers = {"diagnosis": said | read_diagnosis(folder / "diagnosis" / "diagnosis.json")}
     if setting.fit:
         where = ["--out", str(folder / "fit"), "--no-report"]
         fitted = _called([setting.command, "fit", *inputs, *where])
         summary = folder / "fit" / "summary.csv"
         table = summary.read_text("utf-8") if summary.exists() else None
-        record["fit"] = fitted | {"summary": table}
-    _keep(record, record_file, log)
-    if not setting.keep:
-        shutil.rmtree(folder)
+        answers["fit"] = fitted | {"summary": table}
+    return answers
 
 
 def _keep(record: Mapping[str, Any], path: Path, log: Callable[[str], None]) -> None:
@@ -215,8 +240,9 @@ def _called(arguments: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _output(arguments: Sequence[str]) -> str:
-    done = subprocess.run(arguments, capture_output=True, text=True, check=True)  # noqa: S603
+def _version(setting: Setting) -> str:
+    asked = [setting.command, "--version"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)  # noqa: S603
     return done.stdout.strip()
 
 
