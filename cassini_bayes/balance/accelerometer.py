@@ -42,8 +42,9 @@ class AccelerometerStatistics:
     """Inner products of the columns of one event's accelerometer readings.
 
     Columns: per thruster its pulse columns (B of all), the constant, the time since the first
-    reading in s. ``gram`` (B + 2, B + 2), ``cross`` (B + 2,) with the counts,
-    ``square`` their sum of squares; ``readings`` is how many stretches of one count there are.
+    reading in s. ``gram`` (B + 2, B + 2), ``cross`` (B + 2,) with the counts since the first
+    reading, ``square`` their sum of squares; ``readings`` is how many stretches of one count there
+    are.
     """
 
     sampling: Sampling
@@ -87,7 +88,7 @@ def accelerometer_statistics(
     sizes = np.diff(np.r_[first, len(rows)])
     time = np.add.reduceat(samples.time_s[rows], first) / sizes
     table = np.column_stack([columns[first], np.ones(len(first)), time - time[0]])
-    values = counts[rows][first]
+    values = counts[rows][first] - counts[rows[0]]
     return AccelerometerStatistics(
         sampling, len(first), table.T @ table, table.T @ values, float((values**2).sum())
     )

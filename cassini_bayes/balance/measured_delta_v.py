@@ -2,8 +2,9 @@
 
 Per row in body axes, M ΔV(t) = Σ_k d_k F_k s_k(t), with the effective on-time s_k of the momentum
 balance and the event's wet mass M. Rows during which a pulse is being delivered are left out, as in
-the balance; the first reading stays in, because on-times and velocity change are counted from it.
-The noise of a row is white, and the zero of the velocity change is an unknown offset of its own.
+the balance; the first reading stays in, because on-times and velocity change are counted from it,
+whatever a counter had summed up before. The noise of a row is white, and that of the first reading
+is an unknown offset of its own.
 Like the balance this is linear in the thrusts, so a few inner products are all that is kept.
 """
 
@@ -23,7 +24,7 @@ from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.computing.arrays import Array, Flags, Places, joined
 from cassini_bayes.errors import InputError
 
-OFFSET_SD_M_S: Final = 0.1  # of the counter's zero: flat against noise of mm/s
+OFFSET_SD_M_S: Final = 0.1  # of the first reading: flat against noise of mm/s
 LEAST_ROWS: Final = 2  # the first is where counting begins
 DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 
@@ -32,9 +33,9 @@ DELTA_V_PARAMETERS: Final = ("mass_kg", *DELTA_V_NOISE)
 class DeltaVStatistics:
     """Inner products of the columns of one event's measured velocity change.
 
-    Columns: per thruster its pulse columns (B = K C of all), then the constant.
-    ``gram`` (B + 1, B + 1), ``cross`` (B + 1, 3) with the measured ΔV, ``square`` its sum of
-    squares over rows and axes; ``last_m_s`` (3,) the last reading less the first.
+    Columns: per thruster its pulse columns (B = K C of all), then the constant. ``gram`` (B + 1,
+    B + 1), ``cross`` (B + 1, 3) with the ΔV measured since the first reading, ``square`` its sum of
+    squares over rows and axes; ``last_m_s`` (3,) is the last one.
     """
 
     sampling: Sampling
@@ -75,14 +76,14 @@ def delta_v_statistics(
             "let the telemetry begin before the burn and end after it",
         )
     table = np.concatenate([on_time_columns(samples, rows, sampling), np.ones((len(rows), 1))], 1)
-    values = measured[rows]
+    values = measured[rows] - measured[rows[0]]
     return DeltaVStatistics(
         sampling,
         len(rows),
         table.T @ table,
         table.T @ values,
         float((values**2).sum()),
-        values[-1] - values[0],
+        values[-1],
     )
 
 

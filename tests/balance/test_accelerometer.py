@@ -84,13 +84,22 @@ def test_information_equals_a_plain_normal() -> None:
             else:
                 stretches.append([i])
         time = np.array([np.mean(samples.time_s[own]) for own in stretches])
-        shown = np.array([counts[own[0]] for own in stretches])
+        shown = np.array([counts[own[0]] - counts[0] for own in stretches])
         seconds = np.array([samples.pulses[own[0]] * effective_s(sampling) for own in stretches])
         mean = (seconds @ (directions[2] * thrust) / MASS - bias * (time - time[0])) / scale
         covariance = np.eye(len(shown)) / 12.0 + (OFFSET_SD_M_S / scale) ** 2
         expected = multivariate_normal.logpdf(shown - mean, np.zeros(len(shown)), covariance)
         assert statistics.readings == len(stretches)
         assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_counts_from_before_the_event_change_nothing() -> None:
+    """A counter that begins at 30,000 says what one does that begins at 0."""
+    samples, counts, sampling = burn(np.full(8, 0.75))
+    once = accelerometer_statistics("burn", [(samples, counts)], sampling)
+    more = accelerometer_statistics("burn", [(samples, counts + 30_000.0)], sampling)
+    assert np.array_equal(more.cross, once.cross)
+    assert more.square == once.square > 0.0
 
 
 def test_rows_of_one_count_are_one_reading() -> None:

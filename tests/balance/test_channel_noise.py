@@ -51,6 +51,27 @@ def test_levels_are_those_of_the_noise(step_rpm: float) -> None:
     assert samples.rate_rad_s[:, 2].std() > 10.0 * LEVELS.rate_rad_s
 
 
+@pytest.mark.parametrize("jitter_s", [1e-5, 3e-3])
+def test_the_jitter_of_a_clock_is_no_noise(jitter_s: float) -> None:
+    """Levels are as they were, also of attitudes while the body turns by 5 mrad a row.
+
+    Control: at the jitter's 3 ms these turns would be 2e-5 rad off by themselves.
+    """
+    rng = np.random.default_rng(2)
+    samples = accelerating(rng)
+    time_s = samples.time_s + jitter_s * rng.uniform(-1.0, 1.0, ROWS)
+    turning = 5e-3 * time_s
+    q = samples.attitude
+    cosine, sine = np.cos(turning / 2.0)[:, None], np.sin(turning / 2.0)[:, None]
+    # about Z, before the turns that the samples have
+    turned = cosine * q + sine * np.column_stack([q[:, 1], -q[:, 0], q[:, 3], -q[:, 2]])
+    seen = replace(samples, time_s=time_s, attitude=turned)
+    found = channel_noise(seen, np.zeros(ROWS, dtype=np.intp), 0.0, 0.0)
+    assert found.rate_rad_s == pytest.approx(LEVELS.rate_rad_s, rel=CLOSE)
+    assert found.wheel_rpm == pytest.approx(LEVELS.wheel_rpm, rel=CLOSE)
+    assert found.attitude_rad == pytest.approx(LEVELS.attitude_rad, rel=CLOSE)
+
+
 def turning_and_pausing(rng: np.random.Generator, noise_rpm: float) -> Samples:
     """Wheels in steps of 1 rpm that three turns of 400 s change; they pause in between."""
     time_s, torque = np.arange(4_800.0), np.zeros(4_800)

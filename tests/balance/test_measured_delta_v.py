@@ -73,11 +73,24 @@ def test_information_equals_a_plain_normal() -> None:
     variance = NOISE**2 + 1e-10 / 12
     covariance = variance * np.eye(len(rows)) + OFFSET_SD_M_S**2
     expected = sum(
-        multivariate_normal.logpdf(measured[rows, c] - mean[:, c], np.zeros(len(rows)), covariance)
+        multivariate_normal.logpdf(
+            measured[rows, c] - measured[0, c] - mean[:, c], np.zeros(len(rows)), covariance
+        )
         for c in range(3)
     )
     assert statistics.rows == len(rows)
     assert found == pytest.approx(expected, rel=1e-7)
+
+
+def test_what_a_counter_had_summed_up_before_changes_nothing() -> None:
+    """A velocity change that begins at 500 m/s is that from its first reading on."""
+    samples, measured, sampling = burn()
+    once = delta_v_statistics("burn", [(samples, measured)], sampling)
+    before = np.array([500.0, -20.0, 3.0])
+    more = delta_v_statistics("burn", [(samples, measured + before)], sampling)
+    assert more.cross == pytest.approx(once.cross, abs=1e-9)
+    assert more.square == pytest.approx(once.square, abs=1e-12)
+    assert more.last_m_s == pytest.approx(measured[-1] - measured[0], abs=1e-9)
 
 
 def test_a_burn_without_quiet_rows_is_refused() -> None:

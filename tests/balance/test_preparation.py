@@ -1,6 +1,11 @@
-"""A first look at telemetry: after how long a pulse may follow another, and steps of channels."""
+"""A first look at telemetry: after how long a pulse may follow another, and steps of channels.
+
+And what readings it takes: both counters in one row, and none after the last.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +18,10 @@ from cassini_bayes.balance.statistics.preparation import (
     channel_step,
     close_gaps,
     paired_widths,
+    prepare,
 )
 from cassini_bayes.balance.statistics.rounded_counters import expected_on_times
+from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.computing.arrays import Array
 
 CYCLE_S = 0.125
@@ -150,3 +157,45 @@ def test_readings_that_cut_pulses_tell_whether_they_begin_with_cycles(
     usual = np.array(close_gaps(widths, step, CYCLE_S))
     free = np.array(close_gaps(widths, step, CYCLE_S, with_cycles=False))
     assert free.mean() == pytest.approx(0.5 * usual.mean(), rel=0.05)
+
+
+def restless(rows: int, every: int) -> Samples:
+    """Rows every second and counters ``every`` so many, between all of which a thruster fires."""
+    rng, time_s = np.random.default_rng(4), np.arange(float(rows))
+    pulses = np.cumsum(np.arange(rows) % every == every // 2).astype(float)[:, None]
+    on_time = np.cumsum(rng.uniform(0.05, 0.1, rows)[:, None] * np.diff(pulses, axis=0, prepend=0))
+    counters = np.stack([on_time[:, None], pulses])
+    counters[:, time_s % every != 0.0] = np.nan
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
+    rate, wheel = 2e-5 * rng.standard_normal((2, rows, 3))
+    return Samples(time_s, level, rate, wheel, *counters)
+
+
+@pytest.mark.parametrize("after", [1, 8, 400])
+def test_after_the_last_reading_nothing_is_known(after: int) -> None:
+    """Thrusters may fire in rows that follow it: they are no rows between firings.
+
+    All but the first 800 rows come after it. Counted as quiet they would be more than a tenth of
+    the rows at readings, and means over rows with late pulses would not be taken.
+    """
+    samples = restless(800 + after, 10)
+    samples.on_time_s[800:] = samples.pulses[800:] = np.nan
+    found = prepare([samples], CYCLE_S, 0.5).found
+    alone = prepare([samples.part(0, 791)], CYCLE_S, 0.5).found
+    assert found.late == alone.late
+    assert found.late.block_s > 0.0
+    assert found.noise.rate_rad_s == alone.noise.rate_rad_s == 0.0
+
+
+@pytest.mark.parametrize("more", ["on_time_s", "pulses"])
+def test_readings_are_rows_with_both_counters(more: str) -> None:
+    """One of them in every row, the other in every second: what is read is every second row."""
+    samples, scarce = restless(600, 1), restless(600, 1)
+    scarce.on_time_s[1::2] = scarce.pulses[1::2] = np.nan
+    mixed = replace(scarce, **{more: getattr(samples, more)})
+    one, other = (prepare([own], CYCLE_S, 0.5) for own in (scarce, mixed))
+    assert np.array_equal(one.found.read_s, other.found.read_s)
+    assert np.array_equal(one.found.pulses, other.found.pulses)
+    (seen,) = other.samples([mixed])
+    assert np.array_equal(seen.has_counters, scarce.has_counters)
+    assert len(one.found.read_s) == 300

@@ -452,6 +452,33 @@ def test_every_column_of_a_counter_wraps_at_its_own_size() -> None:
         read_on_times(frame, on_times_by_column(swapped))
 
 
+@pytest.mark.parametrize("size", [13.0, 50.0])
+def test_a_growth_over_a_stated_wrap_may_be_the_largest(size: float) -> None:
+    """A firing of 2 s after short ones: believed over a wrap at 13 s that a map states.
+
+    Not without the map, nor if it were more than a quarter of the size; nor a counter that falls
+    from a fourth of its size, which was reset.
+    """
+    own = own_frame()
+    names = [f"on_time_{name}_s" for name in THRUSTERS]
+    own[names] = 0.0
+    own.loc[10:, "on_time_z1_s"] = 0.125
+    own.loc[20:, "on_time_z1_s"] = 2.125
+    own[[f"pulses_{name}" for name in THRUSTERS]] = 0
+    own.loc[10:, "pulses_z1"] = 1
+    own.loc[20:, "pulses_z1"] = 2
+    own = own.iloc[::4]  # with 1 s between rows none fires for 2 s
+    frame = counted_up(own, 11_000.0, {"z1": 13_000.0})
+    stated: dict[str, dict[str, Any]] = {"z1": {"wraps_at": 1000.0 * size}}
+    if size == 13.0:
+        read = read_on_times(frame, on_times_by_column(stated))
+        gained = own[names].to_numpy()
+        np.testing.assert_allclose(read - read[0], gained, atol=1e-9)
+        stated = {}
+    with pytest.raises(InputError, match="was reset or misread"):
+        read_on_times(frame, on_times_by_column(stated))
+
+
 def test_the_size_of_a_wrap_that_was_seen_is_that_of_columns_without_one() -> None:
     """A usual size that one counter showed holds for the next, beside one of an own size."""
     own = own_frame(120)

@@ -607,6 +607,17 @@ def test_on_time_without_pulses_is_refused(tmp_path: Path) -> None:
     assert load(write_event(tmp_path, rows)).on_time_s[-1, 2] == 20.0
 
 
+@pytest.mark.parametrize("lacking", ["on_time", "pulses"])
+def test_a_slew_with_one_of_the_counters_is_refused(tmp_path: Path, lacking: str) -> None:
+    """It needs neither; one of them without the other tells no pulse."""
+    rows = [{k: v for k, v in row.items() if not k.startswith(lacking)} for row in bias_rows()]
+    message = refusal(write_event(tmp_path, rows, BIAS | {"kind": '"slew"'}))
+    assert f"expected a column '{lacking}_z1" in message
+    assert "add both counters of every thruster, or leave both out" in message
+    bare = [{k: v for k, v in row.items() if not k.startswith(("on_", "pul"))} for row in rows]
+    assert load(write_event(tmp_path, bare, BIAS | {"kind": '"slew"'})).pulses.shape[1] == 0
+
+
 # ---------------------------------------------------------------- mends
 
 

@@ -172,3 +172,23 @@ def test_a_first_row_later_than_the_event_is_long_is_refused(late_s: float) -> N
         reduce_event(event, priors(), "first_order")
     assert caught.value.expected.startswith("the time of the first row")
     assert ("give epoch" in caught.value.fix) == (late_s < 1e12)
+
+
+def test_a_burn_without_motion_is_refused_in_a_line() -> None:
+    """It can be read, with counters and velocity change, and is no data of a momentum balance."""
+    folder, spacecraft = simulated() / "bias", priors().spacecraft
+    rows = pd.read_csv(folder / "telemetry.csv")
+    counters = [name for name in rows.columns if name.startswith(("time", "on_time", "pulses"))]
+    burn = rows[counters].assign(**{f"delta_v_{axis}_m_s": 0.0 for axis in "xyz"})
+    said = {
+        "id": "burn",
+        "kind": "delta_v",
+        "epoch": "2010-05-01T06:00:00Z",
+        "branch": "B",
+        "wheels": [1, 2, 4],
+        "source": "simulation",
+        "delta_v_source": "measured",
+    }
+    event = event_from_frame(burn, said, spacecraft)
+    with pytest.raises(InputError, match="at least 5 rows with attitude, body rates and wheel"):
+        reduce_event(event, priors(), "first_order")

@@ -20,7 +20,7 @@ from cassini_bayes.balance.rounded_wheels import (
     coherent_shares,
     means_beside,
 )
-from cassini_bayes.balance.statistics.rows import SAME_S, Samples
+from cassini_bayes.balance.statistics.rows import Samples
 from cassini_bayes.balance.statistics.sampling import Sampling
 from cassini_bayes.balance.statistics.turns import turns_between
 from cassini_bayes.computing.arrays import Array, Flags, Places
@@ -30,6 +30,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 SECOND: Final = 6.0  # variance of a second difference over that of a value
 THIRD: Final = 20.0
 LEAST_DIFFERENCES: Final = 30  # judgement: a noise level from these is good to a fifth
+JITTER: Final = 0.01  # of the usual time between rows, by which a clock's may differ
 OUTLYING: Final = 4.0  # standard deviations: corners of the motion, and hardly any noise
 COARSE: Final = 0.4  # noise in steps: of more nothing of a rounding repeats
 PASSING: Final = 0.3  # steps a row: a wheel as fast passes values enough for all places in a step
@@ -78,9 +79,11 @@ def channel_noise(
     gap = np.diff(samples.time_s)
     if len(gap) < LEAST_DIFFERENCES:
         return NOT_SEEN
-    even = np.abs(gap - np.median(gap)) < SAME_S
+    usual = float(np.median(gap))
+    even = np.abs(gap - usual) < JITTER * usual
     quiet = even & (stretch[1:] == stretch[:-1]) & (stretch[1:] >= 0)
-    turns = turns_between(direction_cosines(samples.attitude))
+    # as far as the body turns in the usual time: a clock's jitter is no noise of attitudes
+    turns = turns_between(direction_cosines(samples.attitude)) * (usual / gap)[:, None]
     rates = np.diff(samples.rate_rad_s, 2, axis=0)[quiet[1:] & quiet[:-1]]
     wheels = np.diff(samples.wheel_rad_s, 2, axis=0)[even[1:] & even[:-1]]
     angles = np.diff(turns, 2, axis=0)[quiet[2:] & quiet[1:-1] & quiet[:-2]]

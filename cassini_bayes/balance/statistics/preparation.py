@@ -62,7 +62,7 @@ class Prepared:
                 yield chunk
                 continue
             place = np.searchsorted(found.read_s, chunk.time_s + SAME_S, side="right") - 1
-            place, read = np.maximum(place, 0), np.isfinite(chunk.on_time_s)
+            place, read = np.maximum(place, 0), chunk.has_counters[:, None]
             yield replace(
                 chunk,
                 on_time_s=np.where(read, found.on_time_s[place], chunk.on_time_s),
@@ -110,9 +110,9 @@ def prepare(chunks: Iterable[Samples], control_cycle_s: float, guard_s: float) -
     gaps = close_gaps(singles, step_s, control_cycle_s, with_cycles=with_cycles)
     paired = paired_widths(expected.on_time_s, pulses)
     widths = _typical(single_widths(expected.on_time_s, on_time, pulses), WIDTHS, LEAST_ALONE)
-    # after the last change nothing fires
+    # from the last change to the last reading nothing fires
     counters = np.concatenate([on_time, pulses], axis=1)[[*range(len(time)), -1]]
-    read = np.r_[time, end_s]
+    read = np.r_[time, readings.end_s]
     quiet = quiet_rows(complete.values, read, counters, guard_s).sum()
     of_rows = quiet_rows(rows.time_s, read, counters, guard_s)
     stretch = np.where(of_rows, np.searchsorted(read, rows.time_s), -1)
@@ -285,6 +285,11 @@ class _Readings:
         used[1:] |= changed
         self._kept.append((time[used], on_time[used], pulses[used]))
         self._last = (time[-1:], on_time[-1:], pulses[-1:])
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last reading, of which nothing is known before there is one."""
+        return -np.inf if self._last is None else float(self._last[0][0])
 
     def around_changes(self) -> tuple[Array, Array, Array]:
         """Times (m,), on-times and pulses (m, K), each reading once."""

@@ -81,7 +81,8 @@ def reduce_chunks(
     wheel = slice(layout.wheel.start - len(layout.vector), layout.wheel.stop - len(layout.vector))
     extra_end = np.zeros(len(layout.extra))
     extra = slice(layout.extra_place.start - len(layout.vector), None)
-    for chunk, final in _with_end(_in_blocks(chunks, block_rows)):
+    moving = (chunk for chunk in chunks if chunk.has_motion)
+    for chunk, final in _with_end(_in_blocks(moving, block_rows)):
         rows, carry = settle(chunk, carry, layout, sampling, final)
         if len(rows.time_s) > 0:
             inner.gather(inner_products(rows, layout, sampling.duration_s))
@@ -102,7 +103,7 @@ def reduce_chunks(
             f"none within {sampling.guard_s:.2f} s of a firing, "
             "or as many means over rows at readings of the counters",
             f"{used}{blocks}",
-            "give more telemetry, or the counters at a faster rate",
+            "give more telemetry, or both counters at a faster rate, in the same rows",
         )
     averaged = at_readings / used if sampling.block_s > 0.0 else 1.0
     return EventStatistics(

@@ -46,20 +46,28 @@ class Samples:
         return picked(self, self.has_state)
 
     @property
+    def has_motion(self) -> bool:
+        """Whether the event has attitudes, body rates and wheel rates at all."""
+        return all(own.shape[1] > 0 for own in (self.attitude, self.rate_rad_s, self.wheel_rad_s))
+
+    @property
     def has_counters(self) -> Flags:
-        """(N,) rows with thruster counters."""
-        if self.on_time_s.shape[1] == 0:
-            return np.zeros(len(self), dtype=bool)
-        return np.asarray(np.isfinite(self.on_time_s[:, 0]))
+        """(N,) rows with thruster counters: on-times and pulses, as neither tells alone."""
+        return _are_sampled(self.on_time_s) & _are_sampled(self.pulses)
 
     @property
     def has_state(self) -> Flags:
         """(N,) rows with attitude, body rates and wheel rates."""
-        return np.asarray(
-            np.isfinite(self.attitude[:, 0])
-            & np.isfinite(self.rate_rad_s[:, 0])
-            & np.isfinite(self.wheel_rad_s[:, 0])
+        return (
+            _are_sampled(self.attitude)
+            & _are_sampled(self.rate_rad_s)
+            & _are_sampled(self.wheel_rad_s)
         )
+
+
+def _are_sampled(channel: Array) -> Flags:
+    """Rows (N,) in which a channel (N, C) was sampled; none of one that an event lacks."""
+    return np.asarray(np.isfinite(channel).all(axis=1) & (channel.shape[1] > 0))
 
 
 def quiet_rows(time_s: Array, counter_time_s: Array, counters: Array, guard_s: float) -> Flags:

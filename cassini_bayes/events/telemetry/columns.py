@@ -109,6 +109,15 @@ def make_layout(
                 "add the column, or correct kind, branch and wheels in event.toml",
             )
         channels[channel] = () if missing else tuple(places[name] for name in names)
+    fired = [channel for channel in ("on_time", "pulses") if channels[channel]]
+    if len(fired) == 1:
+        lacking = "pulses" if fired == ["on_time"] else "on_time"
+        raise InputError(
+            where,
+            f"a column {own[lacking][0]!r}, because {own[fired[0]][0]!r} is there",
+            "a header without it",
+            "add both counters of every thruster, or leave both out",
+        )
     if kind == "delta_v" and not any(channels[channel] for channel in VELOCITY):
         raise InputError(
             where,

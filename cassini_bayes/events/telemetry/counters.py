@@ -21,6 +21,8 @@ SLACK_S: Final = 0.3
 ROUNDING: Final = 1e-6
 STEEPER: Final = 3.0
 """A wrap may hide a growth up to so many times the largest one seen."""
+WRAPPED: Final = 0.25
+"""Or, where a channel map states the size of the counter, up to so much of that."""
 LONGER_STEP: Final = 1.5  # times those before and after: a row is missing
 FROZEN_PULSES: Final = 10
 """So many pulses without any on-time are no matter of rounding."""
@@ -61,10 +63,12 @@ class Counter:
         self._names = layout.names(channel)
         # where each counter wraps: as the map says, else once one did (NaN until then)
         self._sizes = np.full(size, np.nan)
+        self._stated = np.zeros(size, dtype=np.bool_)
         self._offsets = np.zeros(size)  # what is shown where a counter counts 0
         if channel_map is not None:
             sizes = [channel_map.wraps_at(channel, name) for name in self._names]
             self._sizes = np.array(sizes, dtype=np.float64)
+            self._stated = ~np.isnan(self._sizes)
             self._offsets = np.array([channel_map.offset(channel, name) for name in self._names])
         self._anew = channel_map is not None and channel_map.is_per_interval(channel, self._names)
 
@@ -153,11 +157,16 @@ class Counter:
     def _wrap_size(
         self, k: int, before: float, now: float, seen: float, step_s: float
     ) -> float | None:
-        """The one size that explains a drop by a growth like those seen; None if none or two do."""
+        """The one size that explains a drop by a growth like those seen; None if none or two do.
+
+        Where a map states the size, a growth need not be like others. One of more than a quarter of
+        it is a reset, or a wrap at another size.
+        """
+        most = STEEPER * seen + (SLACK_S if self._channel == "on_time" else 2.0)
+        if self._stated[k]:
+            most = max(most, WRAPPED * self._sizes[k])
         if self._channel == "on_time":
-            most = min(step_s + SLACK_S, STEEPER * seen + SLACK_S)
-        else:
-            most = STEEPER * seen + 2.0
+            most = min(most, step_s + SLACK_S)
         known, counted = float(self._sizes[k]), before - float(self._offsets[k])
         sizes = wrap_sizes(self._channel) if np.isnan(known) else (known,)
         fits = [
