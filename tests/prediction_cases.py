@@ -14,7 +14,10 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.storage import digest
 from cassini_bayes.model import Model, build_model, draw
-from cassini_bayes.model.totals import software_of
+from cassini_bayes.model.totals import DeltaVUse, software_of
+from cassini_bayes.pipeline.inputs import read_inputs
+from cassini_bayes.pipeline.provenance import recorded
+from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.prediction.beliefs import Beliefs, read_beliefs
 from cassini_bayes.prediction.learning import Learned, learn
 from cassini_bayes.prediction.leave_one_out import HeldOut, fold
@@ -72,19 +75,45 @@ def folds() -> tuple[HeldOut, ...]:
 
 
 def write_run_folder(
-    folder: Path, table: Path = FLIGHT, priors: Path = B_BRANCH, stop_rule: str = ALL_MET
+    folder: Path,
+    table: Path = FLIGHT,
+    priors: Path = B_BRANCH,
+    stop_rule: str = ALL_MET,
+    delta_v: DeltaVUse = "as-declared",
 ) -> Path:
     """A run folder with a small fit of a table's events; returns the path of ``fit.nc``."""
     rng = np.random.default_rng(6)
     read = read_priors(priors)
-    own = build_model(read_totals(table, read.spacecraft), read)
+    own = build_model(read_totals(table, read.spacecraft), read, delta_v=delta_v)
     z = 0.3 * rng.standard_normal((1, SIZE, len(own.space.names)))
     fit = build_fit(own, z, np.zeros((1, SIZE)), rng, {"seed": 6, "stop_rule": stop_rule}, 50)
     run = folder / "small"
     run.mkdir(parents=True)
     save_fit(fit, run / "fit.nc")
-    said = {"events": [str(table)], "source": "flight", "priors": str(priors), "model": {}}
+    said = {"events": [str(table)], "source": "flight", "priors": str(priors)}
+    said |= {"model": {"delta_v": delta_v}}
     (run / "resolved.toml").write_text(tomli_w.dumps(said))
     digests = ", ".join(f'"{path}": "{digest(path)}"' for path in (table, priors))
     (run / "provenance.json").write_text('{"sha256": {' + digests + "}}")
     return run / "fit.nc"
+
+
+def write_earlier(path: Path, seed: int = 2) -> Path:
+    """A fit of the flight events whose draws are near normal: priors can begin with it."""
+    rows, priors = flights()
+    own, rng = build_model(rows, priors, delta_v="ignore"), np.random.default_rng(seed)
+    z = 0.3 * rng.standard_normal((1, 2_000, own.space.dimension))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_fit(build_fit(own, z, np.zeros((1, 2_000)), rng, {"seed": seed}, 50), path)
+    return path
+
+
+def write_chained(folder: Path) -> tuple[Path, Path]:
+    """A run whose priors begin with an earlier fit, in its record; both files' paths, it last."""
+    earlier, priors = write_earlier(folder / "first" / "fit.nc"), folder / "chained.toml"
+    priors.write_text(f'from_fit = "first/fit.nc"\n{B_BRANCH.read_text()}')
+    fit = write_run_folder(folder, priors=priors, delta_v="ignore")
+    said = {"events": [str(FLIGHT)], "priors": str(priors), "model": {"delta_v": "ignore"}}
+    digests = read_inputs(check_run(said, "run"), Path()).digests
+    (fit.parent / "provenance.json").write_text(recorded({}, digests, 1, ()).as_json())
+    return earlier, fit

@@ -63,8 +63,8 @@ def check_known(
     raise InputError(where, wanted, got or repr(name), hint(str(name), known))
 
 
-def check_seed(seed: object, where: str = "seed") -> None:
-    """Refuse what no stream of random numbers begins with.
+def check_seed(seed: object, where: str = "seed") -> int:
+    """The seed as a plain number, which records can hold; NumPy's whole numbers are taken.
 
     Raises
     ------
@@ -78,6 +78,7 @@ def check_seed(seed: object, where: str = "seed") -> None:
     ):
         expected = f"a whole number from 0 to {LARGEST_SEED}"
         raise InputError(where, expected, repr(seed), "choose another seed")
+    return int(seed)
 
 
 def finite_number(where: str, value: object, unit: str = "") -> float:

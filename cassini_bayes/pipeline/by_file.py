@@ -68,7 +68,9 @@ def sweep(
     path = Path(run_file)
     run = read_run_file(path).accepting(accept, leave_out=leave_out)
     where = "command line" if spec is None else str(spec)
-    wanted = _sweep_file(spec, where, {"quantities": quantities or None, "refit": refit})
+    # a name alone stays one, and is refused as no list
+    watched = quantities if isinstance(quantities, str) else list(quantities or ())
+    wanted = _sweep_file(spec, where, {"quantities": watched or None, "refit": refit})
     return execute_sweep(
         run,
         path.parent,
@@ -129,8 +131,7 @@ def trend(
     path = Path(mission_file)
     mission = read_mission_file(path).accepting(accept, leave_out=leave_out)
     if seed is not None:
-        check_seed(seed)
-        table = mission.trend.model_copy(update={"seed": seed})
+        table = mission.trend.model_copy(update={"seed": check_seed(seed)})
         mission = mission.model_copy(update={"trend": table})
     return execute_trend(
         mission,

@@ -36,7 +36,7 @@ from cassini_bayes.model.gather import READ, EventLike, PathLike, each_event
 from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
 from cassini_bayes.pipeline.provenance import library_versions, read_provenance, recorded
-from cassini_bayes.pipeline.run import CHECKPOINT, open_folder
+from cassini_bayes.pipeline.run import CHECKPOINT, open_folder, refuse_own_earlier
 from cassini_bayes.prediction.sources import DIAGNOSED, EXTENDED, PROVENANCE, RESOLVED
 from cassini_bayes.priors.reader import Priors, spacecraft_file_of
 from cassini_bayes.report.shown import html_of, names_shown, with_interval
@@ -276,15 +276,18 @@ def diagnose(
         Bad data or priors; a folder that holds something else; a diagnosis to resume that began
         with other inputs, settings, code or libraries.
     """
-    check_seed(seed)
+    seed = check_seed(seed)
     given = each_event(events)
     names = [] if folder is None else [*paths_of(given, *EVENTS), *paths_of(priors, *PRIORS)]
     kinds = read_kinds([Path(path) for path in effect_files])
     policy = Policy.of(accept, leave_out=leave_out)
     processes = cores() if workers is None else workers
-    case = _case(given, priors, kinds, source, policy, log, processes)
-    digests = _digests(given, priors, case)
+    known = priors_of(priors)
     place = None if folder is None else Path(folder)
+    if place is not None:
+        refuse_own_earlier(known, place)
+    case = _case(given, priors, known, kinds, source, policy, log, processes)
+    digests = _digests(given, priors, case)
     store = None
     if place is not None:
         settings = {
@@ -356,6 +359,7 @@ def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -
 def _case(
     given: Sequence[EventLike],
     priors: PriorsLike,
+    known: Priors,
     kinds: Kinds,
     source: str,
     policy: Policy,
@@ -369,5 +373,4 @@ def _case(
                 "events", "estimates alone, and a priors file", "others", "diagnose them by path"
             )
         return read_estimate_case([str(path) for path in paths], Path(priors), kinds)
-    known = priors_of(priors)
     return BalanceCase(read_events(given, known, source, log, kinds, policy, processes))

@@ -27,9 +27,9 @@ from cassini_bayes.model.draws import event_log_marginal
 from cassini_bayes.model.gather import EventLike, PathLike, each_event
 from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.totals import DeltaVUse
-from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, paths_of, read_inputs
+from cassini_bayes.pipeline.inputs import EVENTS, PRIORS, Inputs, paths_of, read_inputs
 from cassini_bayes.pipeline.models import PriorsLike, read_model
-from cassini_bayes.pipeline.provenance import read_provenance
+from cassini_bayes.pipeline.provenance import changed_inputs, in_words, read_provenance
 from cassini_bayes.pipeline.run import Quiet, Reporter, execute, facts_of, write_results
 from cassini_bayes.pipeline.run_file import (
     OutputTable,
@@ -353,10 +353,6 @@ def fit(
         }
         run = check_run(table, "fit")
         return _written(run, Path("fit"), folder, effect_files, force, resume, told)
-    if isinstance(events, Model) and (priors is not None or effects):
-        raise InputError(
-            "fit", "a model alone", "priors or effects beside it", "give them to build_model"
-        )
     policy = Policy.of(accept, leave_out=leave_out)
     reading = (effects, effect_files, pulse_shape, delta_v, source, policy, told.log)
     read = read_model(events, priors, *reading)
@@ -400,7 +396,7 @@ def _given(sampler: SamplerSettings | Mapping[str, Any] | None, seed: int | None
     if seed is not None:
         given["seed"] = seed
     if "seed" in given:
-        check_seed(given["seed"])
+        given["seed"] = check_seed(given["seed"])
     return given
 
 
@@ -453,7 +449,9 @@ def read_fit(
     Raises
     ------
     InputError
-        Missing, truncated or changed file; no fit of this package.
+        Missing, truncated or changed file; no fit of this package. Events, priors, the earlier fit
+        that these begin with or files of effects that are not those of the run are refused once
+        they are asked for.
     """
     place = Path(path)
     file = place / FIT_FILE if place.is_dir() else place
@@ -485,6 +483,7 @@ def _review_of(
     kinds = read_kinds([Path(path) for path in effect_files])
     place = Path() if base is None else Path(base)
     inputs = read_inputs(run, place, folder, kinds=kinds, where=str(resolved))
+    _refuse_changed(file, inputs)
     model = inputs.model
     z = model.space.to_standard(
         walked_values(stored.posterior, model.space.names, model.spacecraft)
@@ -503,6 +502,18 @@ def _review_of(
         seed=run.sampler.seed,
         what_if=True,
     )
+
+
+def _refuse_changed(file: Path, inputs: Inputs) -> None:
+    """Refuse to show a fit beside inputs that it is not of, wherever they were found."""
+    changed = changed_inputs(file.parent / PROVENANCE, inputs.digests)
+    if changed:
+        raise InputError(
+            str(file),
+            "the inputs as they were when the fit was made",
+            f"others: {in_words(changed)}",
+            "restore them, name an unchanged copy with --base, or run the fit again",
+        )
 
 
 def report(
@@ -533,17 +544,23 @@ def report(
     Raises
     ------
     InputError
-        No fit there; its events or priors are not where the run found them.
+        No fit there; its events or priors are not where the run found them, or are not as they
+        were; a folder of another run.
     """
     result = (
         fit if isinstance(fit, FitResult) else read_fit(fit, base=base, effect_files=effect_files)
     )
-    if folder is not None:
-        target = Path(folder)
-    elif result.path is not None:
-        target = result.path.parent
-    else:
+    own = None if result.path is None else result.path.parent
+    target = own if folder is None else Path(folder)
+    if target is None:
         raise InputError("folder", "where to write", "nothing", 'add folder="…"')
+    if exists(target / RESOLVED) and (own is None or target.resolve() != own.resolve()):
+        raise InputError(
+            str(target),
+            "a new folder, or that of the fit itself",
+            f"another run or diagnosis (with {RESOLVED})",
+            "choose another --out",
+        )
     review = result.review
     if not review.what_if:
         review = replace(review, what_if=True)

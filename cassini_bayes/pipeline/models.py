@@ -106,16 +106,40 @@ def read_model(
     policy: Policy,
     log: Log = silent,
 ) -> ReadModel:
-    """As :func:`build_model`, with what was read and found; a model is taken as it is."""
+    """As :func:`build_model`, with what was read and found; a model is taken as it is.
+
+    Raises
+    ------
+    InputError
+        As :func:`build_model`; anything but the defaults beside a model, which has its own.
+    """
     if isinstance(events, Model):
+        given = {
+            "priors": priors is not None,
+            "effects": bool(effects),
+            "effect_files": bool(effect_files),
+            "pulse_shape": pulse_shape != "first_order",
+            "delta_v": delta_v != "as-declared",
+            "source": source != "flight",
+            "accept": bool(policy.accepted),
+            "leave_out": policy.leave_out,
+        }
+        names = ", ".join(name for name, is_given in given.items() if is_given)
+        if names:
+            raise InputError(
+                names,
+                "a model alone",
+                f"{names} beside it",
+                "give what it is made of to build_model",
+            )
         return ReadModel(events, events.sources)
     known = priors_of(priors)
-    given, findings = gather(
+    read, findings = gather(
         events, known, pulse_shape=pulse_shape, source=source, policy=policy, log=log
     )
     kinds = read_kinds([Path(path) for path in effect_files])
-    model = model_of(given, known, pulse_shape, delta_v, effects, kinds)
-    return ReadModel(model, given, findings)
+    model = model_of(read, known, pulse_shape, delta_v, effects, kinds)
+    return ReadModel(model, read, findings)
 
 
 def model_of(

@@ -335,7 +335,7 @@ def predict(
         A fit without wheel biases; files that have moved; an impossible bias; an id twice or with
         characters that no file name should have.
     """
-    check_seed(seed)
+    seed = check_seed(seed)
     began = time.perf_counter()
     sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     requests = _requests(sources, bias, epoch, branch, quaternion)
@@ -405,7 +405,7 @@ def plan(
         _refuse_idle("--quantity", {"--levels": levels, "--budget": budget, "--top": top})
     else:
         _refuse_idle("--minimise", {"--to": to, "--limit": limit})
-    check_seed(seed)
+    seed = check_seed(seed)
     sources, draws, stored = _sources(fit, events, priors, accept, effect_files)
     wheels, rates = _start(sources, start)
     learned = learn_from_fit(draws, sources, seed, None if beliefs is None else Path(beliefs))
@@ -424,7 +424,9 @@ def plan(
     assert minimise is not None
     wanted = {} if to is None else parse_rates(to, sources.model.spacecraft, "--to")
     cheapest = cheapest_bias(learned, minimise, wheels, rates, wanted, stream(seed, 0))
-    throughput = accumulated_throughput(sources.events, cheapest.prediction, limit)
+    fitted = read_record(draws, ("observed_data",)) if isinstance(draws, Path) else draws
+    observed = fitted.groups["observed_data"]
+    throughput = accumulated_throughput(observed, cheapest.prediction, limit)
     return CheapestResult(cheapest, tuple(throughput), learned, warnings, converged)
 
 

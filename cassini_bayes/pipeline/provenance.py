@@ -164,22 +164,32 @@ def refuse_other_run(path: Path, now: Provenance, settings: Mapping[str, Any]) -
     except (InputError, KeyError):
         return
     changed = [*_changed(_began_with(path), settings), *_changed_record(earlier, now)]
-    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
     raise InputError(
         str(path),
         "the events, priors, settings and versions that this run began with",
-        f"others: {', '.join(changed[:MOST_NAMED])}{more}" if changed else "other code",
+        f"others: {in_words(changed)}" if changed else "other code",
         "undo the change and use --resume, or start anew with --force",
     )
 
 
+def in_words(changes: Sequence[str]) -> str:
+    """The first of some changes in words, and how many more there are."""
+    more = f" and {len(changes) - MOST_NAMED} more" if len(changes) > MOST_NAMED else ""
+    return f"{', '.join(changes[:MOST_NAMED])}{more}"
+
+
 def changed_inputs(path: Path, digests: Mapping[str, str]) -> tuple[str, ...]:
-    """Inputs, name → SHA-256, whose content is not that of a run's record; none without one."""
+    """Inputs, name → SHA-256, whose content no input of a run's record has; none without one.
+
+    Names are not compared: folders move, and are then called otherwise.
+    """
     try:
-        earlier = read_provenance(path)
+        known = set(read_provenance(path).digests.values())
     except InputError:
         return ()
-    return tuple(_changed_content(earlier.digests, digests))
+    return tuple(
+        f"the content of {name}" for name, own in digests.items() if known and own not in known
+    )
 
 
 def _began_with(path: Path) -> Mapping[str, Any]:
@@ -213,16 +223,13 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 def _changed_record(earlier: Mapping[str, Any], now: Provenance) -> list[str]:
     """Files whose content is another, and libraries of another version."""
-    versions = earlier.get("versions", {})
-    return _changed_content(earlier.get("sha256", {}), now.digests) + [
+    before, versions = earlier.get("sha256", {}), earlier.get("versions", {})
+    files = (name for name, own in now.digests.items() if before.get(name, own) != own)
+    return [f"the content of {name}" for name in files] + [
         f"{name} {own} (was {versions[name]})"
         for name, own in now.versions.items()
         if versions.get(name, own) != own
     ]
-
-
-def _changed_content(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    return [f"the content of {name}" for name, own in now.items() if before.get(name, own) != own]
 
 
 def library_versions() -> dict[str, str]:

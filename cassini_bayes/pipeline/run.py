@@ -21,7 +21,8 @@ from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
-from cassini_bayes.files.storage import is_leftover, remove_leftovers, write_text
+from cassini_bayes.files.reading import exists
+from cassini_bayes.files.storage import digest, is_leftover, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.model.observability import observability
 from cassini_bayes.model.posterior import Model
@@ -29,6 +30,7 @@ from cassini_bayes.pipeline.inputs import STATISTICS, read_inputs
 from cassini_bayes.pipeline.provenance import Provenance, provenance_of, refuse_other_run
 from cassini_bayes.pipeline.run_file import RunFile, is_resolved
 from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED
+from cassini_bayes.priors.reader import Priors
 from cassini_bayes.report.sections import pictures_of, sections_of, write_tables
 from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
@@ -37,6 +39,9 @@ from cassini_bayes.results.review import Review, is_converged
 from cassini_bayes.sampling.ensembles import ProgressReport
 
 CHECKPOINT: Final = "checkpoint"
+SWEEP: Final = "sweep"
+"""Folder of a run that keeps what a sweep made of its fit."""
+REPORT: Final = "report.html"
 WRITTEN: Final = (
     PROVENANCE,
     CHECKPOINT,
@@ -45,10 +50,11 @@ WRITTEN: Final = (
     "summary.csv",
     "tables",
     "figures",
-    "report.html",
+    REPORT,
+    SWEEP,
     RESOLVED,  # last: it makes a folder a run, so a removal cut short can be done again
 )
-"""What a run writes into its folder: all that ``--force`` removes."""
+"""What a run and its sweep write into its folder: all that ``--force`` removes."""
 
 
 class Reporter(Protocol):
@@ -177,6 +183,18 @@ def open_folder(
     return CheckpointStore(folder / CHECKPOINT, provenance.identity)
 
 
+def refuse_own_earlier(priors: Priors, folder: Path) -> None:
+    """Refuse a folder that holds the fit which priors begin with: ``--force`` would remove it."""
+    earlier = priors.earlier
+    if earlier is not None and Path(earlier.path).resolve().is_relative_to(folder.resolve()):
+        raise InputError(
+            str(folder),
+            "another folder than that of the fit that the priors begin with",
+            earlier.path,
+            "choose another --out",
+        )
+
+
 def _has_begun(folder: Path, result: str) -> bool:
     """Whether a run has got as far as its first checkpoint."""
     return (folder / result).exists() or any((folder / CHECKPOINT).glob("*.npz"))
@@ -211,10 +229,11 @@ def execute(
     Raises
     ------
     InputError
-        Anything wrong with the inputs or the folder; nothing is sampled then.
+        Anything wrong with the inputs or the folder; nothing is sampled then, nor removed.
     """
     began = time.monotonic()
     inputs = read_inputs(run, base, folder, reporter.log, kinds, where)
+    refuse_own_earlier(inputs.priors, folder)
     settings = run.sampler.settings()
     settings.walkers_for(len(inputs.model.space.names), f"{where}: sampler.walkers")
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
@@ -258,6 +277,8 @@ def execute(
 def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> None:
     """Write what a run makes of its fit: ``summary.csv``, ``tables/``, figures and report.
 
+    A page that is there already keeps the section of a sweep of the same fit.
+
     Parameters
     ----------
     report
@@ -274,7 +295,17 @@ def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> No
         log("figures and report")
         pictures = pictures_of(sections, cores())
         save_pictures(pictures, folder / "figures")
-        write_report(review, sections, pictures, folder / "report.html")
+        write_report(review, sections, pictures, folder / REPORT, _sweep_section(folder))
+
+
+def _sweep_section(folder: Path) -> str:
+    """What a sweep of the fit in a folder has added to the report there; empty where none has."""
+    from cassini_bayes.report.sweep import section_in
+
+    page, fit = folder / REPORT, folder / FIT_FILE
+    if not (exists(page) and exists(fit)):
+        return ""
+    return section_in(page.read_text("utf-8", errors="replace"), digest(fit))
 
 
 def facts_of(

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import pandas as pd
 import tomli_w
@@ -21,11 +21,11 @@ from cassini_bayes.computing.workers import workers_at
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.code import code_digest
-from cassini_bayes.files.storage import remove_leftovers, write_text
+from cassini_bayes.files.storage import digest, remove_leftovers, write_text
 from cassini_bayes.files.tables import frame_csv
 from cassini_bayes.pipeline.inputs import Inputs, read_inputs
 from cassini_bayes.pipeline.provenance import changed_inputs
-from cassini_bayes.pipeline.run import Reporter
+from cassini_bayes.pipeline.run import REPORT, SWEEP, Reporter
 from cassini_bayes.pipeline.run_file import RunFile
 from cassini_bayes.prediction.sources import PROVENANCE, RESOLVED
 from cassini_bayes.report.shown import html_of, with_interval
@@ -38,8 +38,6 @@ from cassini_bayes.sweep.tables import SweepTables, tables_of
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
-
-FOLDER: Final = "sweep"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -117,7 +115,7 @@ def execute_sweep(
     factory = factory_of(run, inputs)
     changed = changed_inputs(folder / PROVENANCE, inputs.digests)
     planned = plan(factory, fit, sweep, where, str(folder / FIT_FILE), changed)
-    target = folder / FOLDER
+    target = folder / SWEEP
     store = _store(planned, target, inputs)
     write_text(target / RESOLVED, tomli_w.dumps(sweep.model_dump()))
     reporter.log(f"{len(planned.cells)} cells, {len(planned.baseline.names)} quantities")
@@ -194,7 +192,7 @@ def _write_report(
     from cassini_bayes.report.plots import save_figures
     from cassini_bayes.report.sweep import write_sweep_section
 
-    save_figures(figures, folder / FOLDER / "figures")
-    page = folder / "report.html"
+    save_figures(figures, folder / SWEEP / "figures")
+    page = folder / REPORT
     if page.exists():
-        write_sweep_section(page, tables, names, figures, facts)
+        write_sweep_section(page, tables, names, figures, facts, digest(folder / FIT_FILE))

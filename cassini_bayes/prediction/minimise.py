@@ -16,11 +16,11 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+import xarray as xr
 from scipy.optimize import minimize
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.files.checks import check_known
 from cassini_bayes.prediction.learning import Learned
 from cassini_bayes.prediction.planning import (
@@ -221,9 +221,16 @@ class Throughput:
 
 
 def accumulated_throughput(
-    events: Sequence[TotalsEvent], prediction: Prediction, limit_s: float | None
+    observed: xr.Dataset, prediction: Prediction, limit_s: float | None
 ) -> tuple[Throughput, ...]:
     """Throughput of every thruster, seconds commanded, over events and a planned bias.
+
+    Parameters
+    ----------
+    observed
+        A fit's ``observed_data``: on-times of all its events, slews and burns too.
+    prediction, limit_s
+        The planned bias, and the most on-time of a thruster.
 
     Raises
     ------
@@ -233,10 +240,9 @@ def accumulated_throughput(
     if limit_s is not None and not limit_s > 0.0:
         raise InputError("--limit", "seconds above 0", f"{limit_s:g}", "give the allowed on-time")
     rows = []
+    fired = observed["on_time_s"].sum("event")  # an event without thrusters has NaN: nothing
     for k, name in enumerate(prediction.thrusters):
-        past = sum(
-            float(e.on_time_s[e.thrusters.index(name)]) for e in events if name in e.thrusters
-        )
+        past = float(fired.sel(thruster=name))
         drawn = prediction.on_time_s[:, k]
         high = float(np.quantile(drawn, 0.95))
         rows.append(Throughput(name, past, float(drawn.mean()), high, limit_s))

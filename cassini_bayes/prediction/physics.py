@@ -32,6 +32,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")
 """Channels that a fit of telemetry has observed."""
+SAME_VALUE: Final = 1e-9  # relative: a fixed value through a file and back
 
 
 @dataclass(frozen=True)
@@ -178,14 +179,9 @@ def _from_values(
         spins = dict(zip(wheels, values["rwa_inertia_kg_m2"].T, strict=True))
         named = [wheel for wheel in model.spacecraft.wheels if wheel.name in spins]
         values = {**{wheel.inertia_parameter: spins[wheel.name] for wheel in named}, **values}
-    for name in model.space.fixed:
+    for name, fixed in model.space.fixed.items():
         if name in values:
-            raise InputError(
-                str(path),
-                f"priors in which {name} is free, as in the fit",
-                "a fixed value",
-                "name the priors file of the fit (--priors)",
-            )
+            _check_fixed(path, name, fixed, values[name])
     for name in model.space.names:
         if name not in values:
             raise InputError(
@@ -197,6 +193,19 @@ def _from_values(
     if model.totals_rows.computed is not None:
         software = np.stack([values[name] for name in SOFTWARE], axis=-1)
     return PhysicsDraws(parameters, values["thrust_n"], values["thrust_level_n"], software)
+
+
+def _check_fixed(path: Path, name: str, fixed: float, draws: Array) -> None:
+    """A fit has draws of every prime wheel's inertia: fixed ones are all the value it was given."""
+    is_free = np.ptp(draws) > 0
+    if is_free or not np.allclose(draws, fixed, rtol=SAME_VALUE, atol=0.0):
+        own = "free" if is_free else f"{draws.flat[0]:.10g}"
+        raise InputError(
+            str(path),
+            f"priors in which {name} is {own}, as in the fit",
+            "a fixed value" if is_free else f"{fixed:.10g}",
+            "name the priors file of the fit (--priors)",
+        )
 
 
 def momentum_per_rpm(model: Model, physics: PhysicsDraws, wheels: tuple[int, ...] = ()) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from cassini_bayes.balance.totals_system import NOISE
 from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.effects.registry import read_kinds
+from cassini_bayes.effects.registry import Kinds, read_kinds
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.plausibility import Policy, content_of_totals, refuse_duplicates
 from cassini_bayes.events.recorded_totals import is_bias, recorded_totals
@@ -77,14 +77,16 @@ def read_sources(
 
     A run folder says it itself (``resolved.toml``, with digests in ``provenance.json``), and that
     of a diagnosis for the fit of its extended model; for a ``fit.nc`` that stands alone, or whose
-    files have moved, name them. Effects that were fitted by name are in the model.
+    files have moved, name them. Effects that were fitted by name are in the model; files of effects
+    are code, and only those that are given are read, whatever the record names.
 
     Raises
     ------
     InputError
-        The fit is missing, or its events or priors cannot be found unchanged; an effect of its that
-        no file given has; a layout of thrusters that prediction does not know; priors without what
-        the totals of a planned bias need.
+        The fit is missing, or its events, its priors, the earlier fit that these begin with or its
+        files of effects cannot be found unchanged; an effect of its that no file given has; a
+        layout of thrusters that prediction does not know; priors without what the totals of a
+        planned bias need.
     """
     if not exists(fit):
         raise InputError(
@@ -101,8 +103,13 @@ def read_sources(
         raise InputError(f"{record}: model", "a table", repr(model_table), "run the fit again")
     is_run = home == fit.parent and bool(resolved)
     names = _names(model_table, "effects", f"{record}: model") if is_run else extended_by(fit)
+    digests, _ = _recorded(home)
+    kinds = read_kinds(effect_files)
+    _check_effects(fit, _names(resolved, "own_effects", record) if names else (), kinds, digests)
     priors_path = priors or locate(fit, resolved.get("priors"), "--priors")
     read = read_priors(priors_path)
+    if is_run:
+        _check_earlier(fit, read, digests)
     references = (
         [event_path(events)]
         if events
@@ -127,10 +134,9 @@ def read_sources(
     recordings = [read_event(folder, read.spacecraft) for folder in folders]
     if events:
         _check_unchanged(fit, references[0], _names(resolved, "events", record), recordings)
-    files = [*effect_files, *map(Path, _names(resolved, "own_effects", record))]
     wheels = {n for event in printed for n in event.wheels}
     wheels |= {n for event in recordings for n in event.wheels}
-    effects = fitted_effects(names, read, wheels, list(dict.fromkeys(files)))
+    effects = fitted_effects(names, read, wheels, kinds)
     pulse_shape = str(model_table.get("pulse_shape", "first_order"))
     delta_v = model_table.get("delta_v", "as-declared")
     return _of_biases(str(fit), printed, recordings, read, effects, pulse_shape, delta_v)
@@ -204,17 +210,16 @@ def extended_by(fit: Path) -> list[str]:
 
 
 def fitted_effects(
-    names: Sequence[str], priors: Priors, wheels: Collection[int], files: Sequence[Path]
+    names: Sequence[str], priors: Priors, wheels: Collection[int], kinds: Kinds
 ) -> tuple[Effect, ...]:
     """The effects of a fit by name, whatever data showed them.
 
     Raises
     ------
     InputError
-        A name that neither the package nor a file has.
+        A name that no kind of effect has.
     """
-    inputs = ("telemetry", "totals")
-    catalogue = read_catalogue(priors, sorted(wheels), inputs, read_kinds(files))
+    catalogue = read_catalogue(priors, sorted(wheels), ("telemetry", "totals"), kinds)
     return tuple(catalogue.effect(name).as_fitted() for name in names)
 
 
@@ -293,8 +298,47 @@ def locate(fit: Path, name: object, option: str, priors: Priors | None = None) -
         str(fit),
         f"{what} as it was when the fit was made",
         "no such file" if place is None else f"{place}, which has changed",
-        f"name {'it' if what == name else 'other priors'} with {option}, or run the fit again",
+        f"name it with {option}, or run the fit again"
+        if place is None
+        else f"restore it, name an unchanged copy with {option}, or run the fit again",
     )
+
+
+def _check_effects(
+    fit: Path, named: Sequence[str], kinds: Kinds, digests: Mapping[str, str]
+) -> None:
+    """Files of effects that the fit's record names: all of them given, and as they were."""
+    given = {Path(path).name for path in kinds.files}
+    missing = [name for name in named if Path(name).name not in given]
+    if missing:
+        asked = " ".join(f"--effects {name}" for name in missing)
+        raise InputError(
+            str(fit),
+            "the files of effects that the fit was given",
+            f"none named {', '.join(Path(name).name for name in missing)}",
+            f"look at what they do, and add {asked} (effect_files in Python)",
+        )
+    for path, own in kinds.files.items():
+        before = {value for name, value in digests.items() if Path(name).name == Path(path).name}
+        if before and own not in before:
+            raise InputError(
+                path,
+                f"the file as it was when {fit} was made",
+                "other content",
+                "restore it, or run the fit again",
+            )
+
+
+def _check_earlier(fit: Path, priors: Priors, digests: Mapping[str, str]) -> None:
+    """The fit that the priors begin with: one that the record of a run has, if it has any."""
+    earlier = priors.earlier
+    if earlier is not None and digests and earlier.digest not in digests.values():
+        raise InputError(
+            str(fit),
+            f"{earlier.path}, which its priors begin with, as it was when the fit was made",
+            "another fit",
+            "restore it, or run the fit again",
+        )
 
 
 def _check_unchanged(

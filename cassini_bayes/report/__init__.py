@@ -12,6 +12,7 @@ from cassini_bayes.report.plots import Picture
 from cassini_bayes.report.plots.quantities import INTERVAL, INTERVAL_SHORT
 from cassini_bayes.report.plots.tables import all_events_of, events_of
 from cassini_bayes.report.sections import figures_of, pictures_of, sections_of, write_tables
+from cassini_bayes.report.sweep import with_section
 from cassini_bayes.report.telemetry import inertia_numbers
 from cassini_bayes.report.templating import address_of, rendered
 from cassini_bayes.report.thrusts import key_numbers, summary_sentences
@@ -29,18 +30,24 @@ __all__ = [
 
 
 def write_report(
-    review: Review, sections: Sequence[Section], pictures: Mapping[str, Picture], path: Path
+    review: Review,
+    sections: Sequence[Section],
+    pictures: Mapping[str, Picture],
+    path: Path,
+    sweep: str = "",
 ) -> None:
     """Write the report as one self-contained HTML file, atomically.
 
     Pictures are inside the page (SVG; corner plots PNG); it uses no script, font or network.
+    ``sweep`` is the section of a sweep of the same fit.
 
     Raises
     ------
     InputError
         The place cannot be written.
     """
-    write_text(path, render_report(review, sections, pictures))
+    html = render_report(review, sections, pictures)
+    write_text(path, with_section(html, sweep) if sweep else html)
 
 
 def render_report(

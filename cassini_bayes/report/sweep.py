@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import pandas as pd
 
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.report.cells import Table, flagged, signed, tabulate
-from cassini_bayes.report.plots import Figure
 from cassini_bayes.report.templating import rendered, svg_address
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
 from cassini_bayes.sweep.tables import SweepTables
 
+if TYPE_CHECKING:
+    from cassini_bayes.report.plots import Figure
+
 BEGIN: Final = "<!-- sweep of priors -->"
 END: Final = "<!-- end of the sweep of priors -->"
+_OF: Final = "\n<!-- of the fit {} -->\n"
 _BEFORE: Final = '<section>\n<h2 id="provenance">'
 _ENTRY: Final = '<li><a href="#sweep">How much the answer leans on its priors</a></li>\n'
 _ENTRY_BEFORE: Final = '<li><a href="#provenance">'
@@ -29,11 +32,21 @@ def write_sweep_section(
     names: Sequence[str],
     figures: Mapping[str, Figure],
     facts: str,
+    fit: str,
 ) -> None:
-    """Put the section into a report, in place of an earlier sweep's, atomically."""
+    """Put the section into a report, in place of an earlier sweep's, atomically.
+
+    ``fit`` is the digest of the ``fit.nc`` that was swept.
+    """
     html = page.read_text(encoding="utf-8")
-    section = f"{BEGIN}\n{render_section(tables, names, figures, facts)}\n{END}\n"
-    write_text(page, with_section(html, section))
+    own = render_section(tables, names, figures, facts)
+    write_text(page, with_section(html, f"{BEGIN}{_OF.format(fit)}{own}\n{END}\n"))
+
+
+def section_in(html: str, fit: str) -> str:
+    """The section that a report has of a sweep of the fit with this digest; else nothing."""
+    own, ended, _ = html.partition(BEGIN)[2].partition(END)
+    return f"{BEGIN}{own}{END}\n" if ended and own.startswith(_OF.format(fit)) else ""
 
 
 def with_section(html: str, section: str) -> str:

@@ -93,7 +93,7 @@ def simulate(
     InputError
         Anything wrong with the scenario, or a folder that holds something already.
     """
-    check_seed(seed)
+    seed = check_seed(seed)
     sides = simulated_sides([Path(path) for path in effect_files])
     if folder is None:
         flown = simulate_file(read_scenario(scenario, sides), seed, log)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassini_bayes.files.checks import in_utc, parse_number
+from cassini_bayes.errors import InputError
+from cassini_bayes.files.checks import check_seed, in_utc, parse_number
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
@@ -56,3 +58,13 @@ def test_times_become_utc(text: str, hour: int) -> None:
 def test_no_time_is_none(text: str) -> None:
     """No date, and one that its zone moves before the year 1."""
     assert in_utc(text) is None
+
+
+def test_seeds_are_plain_whole_numbers() -> None:
+    """Of NumPy's kinds too; what is no whole number, or too large, is refused."""
+    for seed in (7, np.int64(7), np.uint8(7)):
+        assert type(check_seed(seed)) is int
+        assert check_seed(seed) == 7
+    for wrong in (True, 7.0, np.float64(7.0), "7", -1, 2**63):
+        with pytest.raises(InputError, match="a whole number from 0"):
+            check_seed(wrong)

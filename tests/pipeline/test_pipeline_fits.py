@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 import warnings
 from collections.abc import Callable
@@ -15,14 +16,15 @@ import pytest
 import run_cases
 import tomli_w
 from event_cases import PRIORS, ROOT, priors, simulated
-from run_cases import FLIGHT, command, small_table
+from prediction_cases import write_chained, write_earlier
+from run_cases import B_BRANCH, EVENTS, FLIGHT, command, small_table
 from totals_cases import flight
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arviz_import import arviz, corner
 from cassini_bayes.errors import InputError
 from cassini_bayes.model import log_posterior
-from cassini_bayes.pipeline import fits
+from cassini_bayes.pipeline import by_file, diagnoses, fits
 from cassini_bayes.pipeline.fits import FitResult
 from cassini_bayes.prediction.sources import read_sources, sources_of
 from cassini_bayes.priors.reader import read_priors
@@ -228,8 +230,29 @@ def test_bad_calls_are_one_line(tmp_path: Path) -> None:
         cb.fit(run_cases.write_run(tmp_path, small_table() | {"accept": ["nothing"]}))
     with pytest.raises(InputError, match="expected a priors file, got none"):
         cb.check(simulated() / "bias")
-    with pytest.raises(InputError, match="a model alone"):
-        cb.fit(cb.build_model(simulated() / "bias", PRIORS), PRIORS)
+
+
+@pytest.mark.parametrize("verb", [cb.fit, cb.check])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("priors", PRIORS),
+        ("effects", ["tail_off"]),
+        ("effect_files", ["plume.py"]),
+        ("pulse_shape", "rectangular"),
+        ("delta_v", "ignore"),
+        ("source", "gsw_ideal"),
+        ("accept", ["wheel-order"]),
+        ("leave_out", True),
+    ],
+)
+def test_what_a_model_has_already_is_refused_beside_it(
+    verb: Callable[..., object], name: str, value: object
+) -> None:
+    """It had been ignored; the message names what was given."""
+    rows, known = flight(1)
+    with pytest.raises(InputError, match=f"^{name}: expected a model alone, got {name} beside it"):
+        verb(cb.build_model(rows, known), **{name: value})
 
 
 def test_the_report_command_goes_on_from_the_stored_draws(
@@ -283,6 +306,84 @@ def test_what_a_caller_gives_of_the_sampler_is_what_the_file_has_not(
     with pytest.raises(InputError, match="stop"):
         cb.fit(simulated() / "bias", PRIORS, sampler={"max_steps": 100}, folder=tmp_path / "x")
     assert seen[-1].max_steps == 100
+
+
+def test_inputs_that_moved_are_those_of_the_fit(stored: FitResult, tmp_path: Path) -> None:
+    """Beside `base` they are compared by content: copies are taken, one edited is named."""
+    base, run = tmp_path / "moved", tmp_path / "run"
+    for name in ("bias", "slews"):
+        shutil.copytree(simulated() / name, base / name)
+    shutil.copy(PRIORS, base / "priors.toml")
+    shutil.copytree(stored.path.parent, run)
+    said = tomllib.loads((run / "resolved.toml").read_text())
+    said |= {"events": ["bias", "slews"], "priors": "priors.toml"}
+    (run / "resolved.toml").write_text(tomli_w.dumps(said))
+    np.testing.assert_array_equal(
+        cb.read_fit(run, base=base).review.z, cb.read_fit(stored.path).review.z
+    )
+    with (base / "priors.toml").open("a") as stream:
+        stream.write("# changed\n")
+    with pytest.raises(InputError, match=r"got others: the content of priors\.toml; restore"):
+        cb.report(run, base=base)
+
+
+def test_a_fit_whose_priors_began_with_another_fit_is_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The earlier fit was replaced since; as it was (control) there is a review."""
+    monkeypatch.setattr(fits, "facts_of", lambda *_: {})  # of a sampler that did not run
+    earlier, fit = write_chained(tmp_path)
+    assert cb.read_fit(fit).review.priors.earlier is not None
+    write_earlier(earlier, seed=3)
+    with pytest.raises(InputError, match=r"got others: the content of .*first/fit\.nc"):
+        cb.report(fit.parent)
+
+
+def test_a_report_goes_into_no_other_run(stored: FitResult, tmp_path: Path) -> None:
+    """Its tables would stand beside that run's settings and draws."""
+    (tmp_path / "resolved.toml").write_text('events = ["e.csv"]\npriors = "p.toml"\n')
+    with pytest.raises(InputError, match="another run or diagnosis"):
+        cb.report(stored, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["resolved.toml"]
+
+
+def test_throughput_counts_every_event_of_the_fit(again: FitResult) -> None:
+    """Of a fit in a folder and of one in memory, what an event fires that is no bias is added."""
+    given = {"minimise": "z_throughput", "to": "rwa1: 400, rwa4: 600"}
+    observed = again.groups["observed_data"]
+    own = {str(k): float(v) for k, v in observed["on_time_s"].sel(event="bias").to_series().items()}
+    assert {row.thruster: row.past_s for row in cb.plan(again, **given).throughput} == own
+    assert observed["on_time_s"].sel(event="slews").isnull().all()
+    on_time = observed["on_time_s"].fillna(10.0)
+    groups = {**again.groups, "observed_data": observed.assign(on_time_s=on_time)}
+    for row in cb.plan(replace(again, path=None, groups=groups), **given).throughput:
+        assert row.past_s == pytest.approx(own[row.thruster] + 10.0)
+
+
+def test_seeds_of_numpy_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They become plain numbers, which records can hold."""
+    seen: list[Any] = []
+
+    def stop(*given: Any, **_: object) -> Any:
+        seen.append(given[0])
+        raise InputError("stop", "here", "here", "here")
+
+    monkeypatch.setattr(fits, "execute", stop)
+    monkeypatch.setattr(diagnoses, "diagnose_case", stop)
+    monkeypatch.setattr(by_file, "execute_trend", stop)
+    seed, row = np.int64(3), f"{FLIGHT}:{EVENTS[0]}"
+    mission = ROOT / "runs" / "cassini_mission.toml"
+    for call in (
+        lambda: cb.fit(row, B_BRANCH, seed=seed, folder=tmp_path / "fit"),
+        lambda: cb.diagnose(row, B_BRANCH, seed=seed, folder=tmp_path / "diagnosis"),
+        lambda: cb.trend(mission, tmp_path / "trend", seed=seed),
+    ):
+        with pytest.raises(InputError, match="stop"):
+            call()
+    said = tomllib.loads((tmp_path / "diagnosis" / "resolved.toml").read_text())
+    for found in (seen[0].sampler.seed, said["seed"], seen[2].trend.seed):
+        assert found == 3
+        assert type(found) is int
 
 
 def test_seeds_are_checked_by_every_call(tmp_path: Path) -> None:

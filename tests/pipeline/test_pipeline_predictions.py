@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -100,3 +101,11 @@ def test_an_epoch_beyond_the_trend_is_doubted(fit: Path) -> None:
         sentence.startswith(f"planned: in {100.0 * share:.2g} % of the draws")
         for sentence in far.warnings
     )
+
+
+def test_a_seed_of_numpy_is_written_as_a_number(fit: Path) -> None:
+    """Its draws are those of the same plain number."""
+    one, other = (cb.predict(fit, "rwa1: 0 -> 500", seed=seed) for seed in (np.int64(2), 2))
+    assert json.loads(json.dumps(one.as_record()))["seed"] == 2
+    drawn = (found.predictions[0].on_time_s for found in (one, other))
+    np.testing.assert_array_equal(*drawn)

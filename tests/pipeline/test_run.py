@@ -14,16 +14,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from prediction_cases import write_earlier
 from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
 
+import cassini_bayes as cb
 from cassini_bayes.computing.arviz_import import arviz, corner
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
 from cassini_bayes.pipeline.fits import result_of
 from cassini_bayes.pipeline.inputs import read_inputs
-from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder
+from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder, refuse_own_earlier
 from cassini_bayes.pipeline.run_file import RunFile, check_run
+from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.results.exchange import MOST_REPLICATES
 from cassini_bayes.results.record import read_fit
 from cassini_bayes.sampling.ensembles import ProgressReport
@@ -188,12 +191,21 @@ def test_force_costs_nothing_when_the_inputs_are_bad(
     assert (folder / "resolved.toml").read_text() == RECORD
 
 
+def test_a_finished_run_resumed_has_the_same_file(finished: Outcome, tmp_path: Path) -> None:
+    """Byte by byte: what was made of the fit, such as a sweep's section, is still of it."""
+    folder = shutil.copytree(finished.folder, tmp_path / "run")
+    do(run_of(), folder, resume=True)
+    assert (folder / "fit.nc").read_bytes() == (finished.folder / "fit.nc").read_bytes()
+
+
 def test_force_replaces_runs_only(tmp_path: Path) -> None:
     """--force clears a run; a folder of something else, or a file, is refused and kept."""
     old = tmp_path / "old"
     (old / "checkpoint").mkdir(parents=True)
     (old / "resolved.toml").write_text(RECORD)
     (old / "checkpoint" / "block_0000.npz").write_text("")
+    (old / "sweep").mkdir()
+    (old / "sweep" / "sweep.csv").write_text("of the fit that goes")
     prepare_folder(old, force=True, resume=False)
     assert list(old.iterdir()) == []
     other = tmp_path / "thesis"
@@ -205,6 +217,22 @@ def test_force_replaces_runs_only(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="a file"):
             prepare_folder(other / "chapter.tex", force=force, resume=False)
     assert (other / "chapter.tex").read_text() == "years of work"
+
+
+def test_force_keeps_the_fit_that_the_priors_begin_with(tmp_path: Path) -> None:
+    """Neither a run nor a diagnosis goes into its folder; into another (control) they may."""
+    folder, priors = tmp_path / "run", tmp_path / "next.toml"
+    earlier = write_earlier(folder / "fit.nc")
+    (folder / "resolved.toml").write_text(RECORD)
+    priors.write_text(f'from_fit = "run/fit.nc"\n{B_BRANCH.read_text()}')
+    before = earlier.read_bytes()
+    with pytest.raises(InputError, match=r"that the priors begin with, got .*run/fit\.nc"):
+        do(run_of(priors=str(priors)), folder, force=True)
+    with pytest.raises(InputError, match="choose another --out"):
+        cb.diagnose(f"{FLIGHT}:{EVENTS[0]}", priors, folder=folder, force=True)
+    assert earlier.read_bytes() == before
+    assert (folder / "resolved.toml").read_text() == RECORD
+    refuse_own_earlier(read_priors(priors), tmp_path / "other")
 
 
 @pytest.mark.parametrize("text", ["", "a = [", 'title = "how a dispute was resolved"\n'])

@@ -9,23 +9,29 @@ import signal
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 import tomli_w
 from numpy.typing import NDArray
-from run_cases import B_BRANCH, Forked, command, small_table, write_run
+from run_cases import B_BRANCH, FLIGHT, Forked, command, small_table, write_run
 from sweep_cases import small_fit, toy_baseline
 
+import cassini_bayes as cb
+from cassini_bayes.computing.log import silent
 from cassini_bayes.computing.workers import LocalWorkers, workers_at
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.pieces import finished as finished_cell
 from cassini_bayes.files.pieces import run_pieces
 from cassini_bayes.files.storage import digest, is_leftover
+from cassini_bayes.pipeline import by_file
 from cassini_bayes.pipeline.provenance import recorded
-from cassini_bayes.report.sweep import BEGIN, END, with_section
+from cassini_bayes.pipeline.run import write_results
+from cassini_bayes.report.sweep import BEGIN, END, section_in, with_section
 from cassini_bayes.results.record import save_fit
 from cassini_bayes.sweep.cells import cell_arrays
 from cassini_bayes.sweep.specification import SweepFile, check_sweep, read_sweep_file
@@ -232,7 +238,8 @@ def test_a_changed_input_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[
     run.mkdir()
     save_fit(small_fit()[1], run / "fit.nc")
     record = run / "provenance.json"
-    record.write_text(recorded({}, {"priors.toml": digest(priors)}, 1, ()).as_json())
+    digests = {"priors.toml": digest(priors), str(FLIGHT): digest(FLIGHT)}
+    record.write_text(recorded({}, digests, 1, ()).as_json())
     arguments = (tmp_path, write_spec(tmp_path), "--jobs", "1", "--quiet", "--no-report")
     text = priors.read_text("utf-8")
     old = '[parameters.tau_fall_s]\ndist = "norm"\nloc = 0.050'
@@ -289,3 +296,45 @@ def test_a_sweep_of_a_fit_that_has_not_converged_ends_with_1(
     shown = capsys.readouterr()
     assert json.loads(shown.out)["converged"] is False
     assert "not converged: " in shown.err
+
+
+def test_the_page_made_again_keeps_the_section_of_its_own_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Written anew, the page has it where it was; once the fit is another one it has none."""
+    run, fit = tmp_path / "small", small_fit()[1]
+    write_run(tmp_path, small_table())
+    run.mkdir()
+    save_fit(fit, run / "fit.nc")
+    (run / "report.html").write_text(PAGE)
+    grid = {"widths": [2.0], "shifts": [], "families": [], "events": False}
+    spec = write_spec(tmp_path, blocks=["tail-off"], grid=grid)
+    assert sweep(tmp_path, spec, "--jobs", "1", "--quiet") == 0
+    swept = (run / "report.html").read_text()
+    assert section_in(swept, digest(run / "fit.nc"))
+    # what the page says besides, and its pictures, take seconds
+    monkeypatch.setattr("cassini_bayes.report.render_report", lambda *_: PAGE)
+    monkeypatch.setattr("cassini_bayes.pipeline.run.sections_of", lambda _: [])
+    review: Any = SimpleNamespace(summary=pd.DataFrame())
+    write_results(review, run, silent, report=True)
+    assert (run / "report.html").read_text() == swept
+    save_fit(replace(fit, attributes={**fit.attributes, "walkers": 2}), run / "fit.nc")
+    write_results(review, run, silent, report=True)
+    assert (run / "report.html").read_text() == PAGE
+
+
+def test_quantities_may_be_a_tuple(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any sequence is; a name alone is none, and refused as before."""
+    seen: list[SweepFile] = []
+
+    def execute(*given: object, **_: object) -> None:
+        found = given[3]
+        assert isinstance(found, SweepFile)
+        seen.append(found)
+
+    monkeypatch.setattr(by_file, "execute_sweep", execute)
+    run_file = write_run(tmp_path, small_table())
+    cb.sweep(run_file, quantities=("tau_fall_s", "thrust_n"))
+    assert seen[-1].quantities == ["tau_fall_s", "thrust_n"]
+    with pytest.raises(InputError, match="quantities"):
+        cb.sweep(run_file, quantities="tau_fall_s")

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import xarray as xr
 from prediction_cases import flights, learned
 
 from cassini_bayes.errors import InputError
@@ -107,18 +108,27 @@ def test_the_objectives_differ() -> None:
     assert spared.ring_s < cheap.ring_s
 
 
+def observed() -> xr.Dataset:
+    """On-times of the flight events as a fit has observed them, and of a slew that fires none."""
+    events = flights()[0]
+    still = np.full(len(events[0].thrusters), np.nan)
+    on_time = np.array([*(event.on_time_s for event in events), still])
+    known = {"event": [*(event.id for event in events), "slew"], "thruster": [*events[0].thrusters]}
+    return xr.Dataset({"on_time_s": (("event", "thruster"), on_time)}, coords=known)
+
+
 def test_throughput_adds_up_and_meets_its_limit() -> None:
     """Past on-times are sums over the events; a limit below them is said to be passed."""
     best = found("z_throughput")
     events = flights()[0]
-    rows = accumulated_throughput(events, best.prediction, 80.0)
+    rows = accumulated_throughput(observed(), best.prediction, 80.0)
     for row in rows:
         total = sum(e.on_time_s[e.thrusters.index(row.thruster)] for e in events)
         assert row.past_s == pytest.approx(total)
         assert row.added_s <= row.added_high_s
         assert row.exceeds == (row.past_s + row.added_high_s > 80.0)
     assert {row.exceeds for row in rows} == {True, False}
-    assert not any(row.exceeds for row in accumulated_throughput(events, best.prediction, None))
+    assert not any(row.exceeds for row in accumulated_throughput(observed(), best.prediction, None))
     json.dumps(cheapest_dictionary(best, rows))
     assert "may pass the limit" in cheapest_text(best, rows)
 
@@ -163,7 +173,7 @@ def test_a_fit_without_hydrazine_spares_thrusters_only() -> None:
 def test_a_limit_of_nothing_is_refused() -> None:
     """A limit has to be above zero."""
     with pytest.raises(InputError, match="above 0"):
-        accumulated_throughput((), found("hydrazine").prediction, 0.0)
+        accumulated_throughput(observed(), found("hydrazine").prediction, 0.0)
 
 
 def test_a_quantity_that_is_fixed_is_no_question_for_a_plan() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,9 @@ from totals_cases import B_BRANCH, FLIGHT
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.effects.registry import standard
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.storage import digest
 from cassini_bayes.model import Model, build_model
 from cassini_bayes.pipeline.predictions import PlanResult
 from cassini_bayes.prediction.learning import Learned, learn
@@ -38,7 +41,7 @@ STILL = frozenset({"rates at the ends", "thrust of the event"})
 def model_with(*names: str) -> Model:
     """The totals model of the eight events with some effects."""
     events, priors = flights()
-    return build_model(events, priors, effects=fitted_effects(names, priors, WHEELS, ()))
+    return build_model(events, priors, effects=fitted_effects(names, priors, WHEELS, standard()))
 
 
 def learned_with(sizes: Mapping[str, float], *names: str) -> Learned:
@@ -147,17 +150,56 @@ def test_effects_that_nothing_has_are_named(run: Path, tmp_path: Path) -> None:
         simulate_request(found.learned, found.predictions[0].request, 1, 1)
 
 
-def test_the_extended_fit_of_a_diagnosis_says_its_causes_itself(tmp_path: Path) -> None:
-    """Events and priors are those of the diagnosis's folder, the causes an attribute of the fit."""
+def write_diagnosis(folder: Path, *own_effects: Path) -> Path:
+    """The folder of a diagnosis that names a leak, with files of effects in its record."""
     model, rng = model_with("thruster_leak:z3"), np.random.default_rng(6)
     z = 0.3 * rng.standard_normal((1, SIZE, model.space.dimension))
     own = {"seed": 6, "causes": "thruster_leak:z3"}
-    (tmp_path / "extended").mkdir()
-    save_fit(build_fit(model, z, np.zeros((1, SIZE)), rng, own, 50), tmp_path / "extended/fit.nc")
+    (folder / "extended").mkdir()
+    save_fit(build_fit(model, z, np.zeros((1, SIZE)), rng, own, 50), folder / "extended/fit.nc")
     table = {"events": [str(FLIGHT)], "priors": str(B_BRANCH), "source": "flight"}
-    (tmp_path / "resolved.toml").write_text(tomli_w.dumps(table))
-    (tmp_path / "diagnosis.json").write_text("{}")
+    table |= {"own_effects": [str(path) for path in own_effects]} if own_effects else {}
+    (folder / "resolved.toml").write_text(tomli_w.dumps(table))
+    (folder / "diagnosis.json").write_text("{}")
+    return folder / "extended" / "fit.nc"
+
+
+def test_the_extended_fit_of_a_diagnosis_says_its_causes_itself(tmp_path: Path) -> None:
+    """Events and priors are those of the diagnosis's folder, the causes an attribute of the fit."""
+    write_diagnosis(tmp_path)
     found = cb.predict(tmp_path, BIAS)
     assert [effect.name for effect in found.learned.model.effects] == ["thruster_leak:z3"]
     same = cb.predict(tmp_path / "extended", BIAS)
     np.testing.assert_array_equal(same.predictions[0].on_time_s, found.predictions[0].on_time_s)
+
+
+def test_no_code_runs_because_a_folder_names_it(tmp_path: Path) -> None:
+    """A file of effects in a record is asked for and stays unread; given (control), it runs."""
+    evil, marker = tmp_path / "evil.py", tmp_path / "marker"
+    evil.write_text(f"open({str(marker)!r}, 'w').close()\n")
+    fit = write_diagnosis(tmp_path, evil)
+    with pytest.raises(InputError, match=r"look at what they do, and add --effects .*evil\.py"):
+        read_sources(fit)
+    with pytest.raises(InputError, match=r"none named evil\.py"):
+        cb.predict(tmp_path, BIAS)
+    assert not marker.exists()
+    with pytest.raises(InputError, match="KIND"):
+        read_sources(fit, effect_files=[evil])
+    assert marker.exists()
+
+
+def test_files_of_effects_are_those_of_the_fit(tmp_path: Path) -> None:
+    """A table given again is taken, also from elsewhere; with other content it is refused."""
+    table, moved = tmp_path / "own.toml", tmp_path / "moved" / "own.toml"
+    moved.parent.mkdir()
+    text = "[causes]\nnone = 0.8\ncatalogued = 0.15\nunknown = 0.05\n"
+    for path in (table, moved):
+        path.write_text(text)
+    fit = write_diagnosis(tmp_path, table)
+    record = {"sha256": {str(table): digest(table)}}
+    (tmp_path / "provenance.json").write_text(json.dumps(record))
+    sources = read_sources(fit, effect_files=[moved])
+    assert [effect.name for effect in sources.model.effects] == ["thruster_leak:z3"]
+    moved.write_text(text.replace("0.15", "0.10").replace("0.05", "0.10"))
+    with pytest.raises(InputError, match=r"moved/own\.toml: expected the file as it was when"):
+        read_sources(fit, effect_files=[moved])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from event_cases import simulated
-from prediction_cases import model, write_run_folder
+from prediction_cases import model, write_chained, write_earlier, write_run_folder
 from totals_cases import B_BRANCH, FLIGHT
 
 from cassini_bayes.balance.totals_system import NOISE
@@ -33,7 +33,10 @@ def test_inputs_are_found_from_a_run_folder_elsewhere(tmp_path: Path) -> None:
     (run / "provenance.json").write_text(json.dumps(record))
     assert locate(run / "fit.nc", "inputs/priors.toml", "--priors") == table
     table.write_text("a = 2\n")
-    with pytest.raises(InputError, match=r"got .*study/inputs/priors.toml, which has changed"):
+    with pytest.raises(
+        InputError,
+        match=r"study/inputs/priors.toml, which has changed; restore it, name an unchanged copy",
+    ):
         locate(run / "fit.nc", "inputs/priors.toml", "--priors")
     table.unlink()
     with pytest.raises(InputError, match="got no such file; name it with --priors"):
@@ -119,16 +122,43 @@ def test_events_named_by_hand_are_those_of_the_fit(tmp_path: Path) -> None:
         read_sources(fit, str(moved))
 
 
+def fixed_in(priors: str, name: str, value: float, unit: str) -> str:
+    """The text of a priors file with a parameter fixed at a value."""
+    start = priors.index(f"[parameters.{name}]")
+    end = priors.index("\n[", start)
+    own = f'[parameters.{name}]\nfixed = {value}\nunit = "{unit}"\nsource = "x"\n'
+    return priors[:start] + own + priors[end:]
+
+
 def test_priors_named_by_hand_leave_free_what_the_fit_drew(tmp_path: Path) -> None:
     """A value fixed there would take the place of the fit's draws, silently."""
     fit = write_run_folder(tmp_path)
     other = tmp_path / "other.toml"
-    text = B_BRANCH.read_text()
-    start = text.index("[parameters.cm_x_m]")
-    end = text.index("\n[", start)
-    other.write_text(
-        f'{text[:start]}[parameters.cm_x_m]\nfixed = 0.08\nunit = "m"\nsource = "x"\n{text[end:]}'
-    )
+    other.write_text(fixed_in(B_BRANCH.read_text(), "cm_x_m", 0.08, "m"))
     sources = read_sources(fit, priors=other)
     with pytest.raises(InputError, match="cm_x_m is free, as in the fit"):
         learn_from_fit(fit, sources, 1)
+
+
+def test_a_fit_with_one_wheels_inertia_fixed_is_taken(tmp_path: Path) -> None:
+    """``fit.nc`` has it beside the free ones, all draws alike; another value there is refused."""
+    own, other = tmp_path / "own.toml", tmp_path / "other.toml"
+    for path, value in ((own, 0.161), (other, 0.1611)):
+        text = fixed_in(B_BRANCH.read_text(), "rwa1_inertia_kg_m2", value, "kg m2")
+        path.write_text(text)
+    fit = write_run_folder(tmp_path, priors=own)
+    learned = learn_from_fit(fit, read_sources(fit), 1)
+    assert learned.physics.parameters["rwa1_inertia_kg_m2"] == 0.161
+    with pytest.raises(InputError, match=r"rwa1_inertia_kg_m2 is 0.161, as in the fit, got 0.1611"):
+        learn_from_fit(fit, read_sources(fit, priors=other), 1)
+
+
+def test_the_earlier_fit_of_the_priors_is_that_of_the_run(tmp_path: Path) -> None:
+    """Replaced since, it is named; as it was (control) the sources are read."""
+    earlier, fit = write_chained(tmp_path)
+    priors = read_sources(fit).priors
+    assert priors.earlier is not None
+    assert Path(priors.earlier.path) == earlier
+    write_earlier(earlier, seed=3)
+    with pytest.raises(InputError, match=r"first/fit.nc, which its priors begin with, .*another"):
+        read_sources(fit)
