@@ -25,6 +25,7 @@ from cassini_bayes.errors import CassiniBayesError, InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.sampling.warmstart import LogDensity, Proposal
 
+LEAST_WALKERS: Final = 4  # of an ensemble: each half proposes moves by differences within the other
 BURN_IN_TAU: Final = 5.0  # autocorrelation times τ left out at the start: judgement
 LENGTH_IN_TAU: Final = 50.0  # τ, from which on emcee's documentation trusts its estimate of τ
 TAU_CHANGE: Final = 0.05  # relative change of τ since the last check: judgement
@@ -61,13 +62,14 @@ class SamplerSettings:
         Raises
         ------
         InputError
-            Fewer than two per dimension: their differences would not reach every direction.
+            Fewer than two per dimension, or than four: their differences would not reach every
+            direction, or each half of them has none.
         """
-        wanted = self.walkers or max(4 * dimensions, 32)
-        if wanted < 2 * dimensions:
+        wanted, least = self.walkers or max(4 * dimensions, 32), max(2 * dimensions, LEAST_WALKERS)
+        if wanted < least:
             raise InputError(
                 where,
-                f"at least {2 * dimensions}, two for each of {dimensions} walked parameters",
+                f"at least {least}, two for each of {dimensions} walked parameters, and four",
                 str(wanted),
                 "raise it, or leave it out (four per parameter)",
             )

@@ -99,6 +99,22 @@ def test_a_valve_without_delays_is_never_late() -> None:
     assert body_share(PULSE_SHAPES["rectangular"], TAU_S, 0.125, 0.125, 0.125) == 0.0
 
 
+@pytest.mark.parametrize("tau", [(0.0, 0.0, 0.05), (0.0, 0.03, 0.0), (0.0, 0.0, 0.0)])
+def test_a_time_constant_fixed_at_zero_is_near_a_short_one(tau: tuple[float, ...]) -> None:
+    """A thrust that rises, or falls, at once: what is late is as with a hundredth of a millisecond.
+
+    It has no other values, so that its own is not looked at.
+    """
+    rate = np.array([0.4])
+    found, near = (
+        late_pulses(SHAPE, (own[0], own[1], own[2]), 0.125, rate)
+        for own in (tau, tuple(max(value, 1e-5) for value in tau))
+    )
+    rise, fall = (np.array([max(value, 1e-5)]) for value in tau[1:])
+    expected = near.variance_s2(rise, fall)[0]
+    assert found.variance_s2(rise, fall)[0] == pytest.approx(expected, rel=0.02, abs=1e-6)
+
+
 @pytest.mark.parametrize("fall", [0.02, 0.05, 0.09])
 def test_the_body_has_a_share_of_what_is_late(fall: float) -> None:
     """Thrust that rises at once: tails are exponential, and sums over cycles geometric series.

@@ -464,5 +464,7 @@ def test_too_few_walkers_are_refused() -> None:
     with pytest.raises(InputError, match="at least 50"):
         SamplerSettings(walkers=20).walkers_for(25)
     target: LogDensity = gaussian
+    with pytest.raises(InputError, match=r"at least 4, two for each of 1 walked.*, and four"):
+        SamplerSettings(walkers=2).walkers_for(1)
     with pytest.raises(InputError, match="at least 10"):
         sample(target, good_proposal(), SamplerSettings(walkers=6))

@@ -55,8 +55,8 @@ class LatePulses:
         """
         rise, fall = self.reference_s
         basis = _basis(
-            np.clip(rise_s / rise, _RISES[0], _RISES[-1]),
-            np.clip(fall_s / fall, _FALLS[0], _FALLS[-1]),
+            np.clip(_relative(rise_s, rise), _RISES[0], _RISES[-1]),
+            np.clip(_relative(fall_s, fall), _FALLS[0], _FALLS[-1]),
         )
         longer = np.maximum(offset_s, 0.0)
         whole = longer + fall_s
@@ -97,7 +97,8 @@ def late_pulses(
     delivered = cumulative_trapezoid(thrust, age, axis=1, initial=0.0)
     late = _due(age, width_s, shape.effective_time(width_s, *taus), delivered)
     moments = np.stack([trapezoid(late, age), trapezoid(late**2, age)], axis=1)
-    fitted = np.linalg.lstsq(_basis(rises / rise, falls / fall), moments, rcond=None)[0]
+    basis = _basis(_relative(rises, rise), _relative(falls, fall))
+    fitted = np.linalg.lstsq(basis, moments, rcond=None)[0]
     return LatePulses(np.ascontiguousarray(fitted.T), (rise, fall), rate_hz, width_s)
 
 
@@ -142,6 +143,13 @@ def body_share(
 def _due(age_s: Array, width_s: float, whole_s: Array | float, delivered_s: Array) -> Array:
     """What a pulse is credited with at some age, and has not delivered yet, s."""
     return np.asarray(np.minimum(age_s - width_s, 0.0) + whole_s - delivered_s)
+
+
+def _relative(constant_s: Array, reference_s: float) -> Array:
+    """Time constants over that of the reference; one that is fixed at 0 has no others."""
+    if reference_s == 0.0:
+        return np.ones_like(constant_s)
+    return np.asarray(constant_s / reference_s)
 
 
 def _basis(rise: Array, fall: Array) -> Array:
