@@ -109,7 +109,7 @@ def own_run(plan: Plan) -> Callable[[], Array]:
     torque = kernel.Torque(np.zeros(3), np.zeros(3), 0.0, 0.0)
     loop = kernel.WheelLoop(kernel.HOLD_WHEELS, np.zeros(3), 0.0, 1.0, 1.0, 1.0)
     steps = Steps.of(STEP_S, SPAN_S, SPAN_S)
-    thrusters, rcs, rwa = make_thrusters(plan), rcs_law(plan, body), rwa_law(plan, body)
+    thrusters, rcs, rwa = make_thrusters(plan), rcs_law(plan), rwa_law(plan, body)
     knowledge = np.zeros((2, 3))
 
     def run() -> Array:

@@ -50,7 +50,10 @@ PARAMETERS: Mapping[str, float] = {
     "tau_rise_s": 0.02,
     "tau_fall_s": 0.04,
     "mass_kg": 2400.0,
+    "mass_factor": 1.0,
+    "thrust_common_n": 0.75,
     "fsw_acceleration_factor": 1.0,
+    "fsw_impulse_offset_s": 0.0,
 }
 BIAS: Mapping[str, Any] = {
     "id": "bias",

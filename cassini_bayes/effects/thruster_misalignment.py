@@ -1,6 +1,6 @@
 """A thruster pushes elsewhere: unit(d + a e1 + b e2), d its nominal direction.
 
-e1 is body X; e2 is Z for thrusters along Y and Y for all others.
+e1 and e2 are those of :func:`.cant_axes`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,14 @@ from typing import Final
 import numpy as np
 
 from cassini_bayes.balance.physics import Parameters, Physics
-from cassini_bayes.effects.changes import unit_vector
 from cassini_bayes.effects.effect import Kind, Setting, Values
 from cassini_bayes.effects.wording import Clause
-from cassini_bayes.spacecraft import centre_of_mass, thruster_directions, thruster_positions
+from cassini_bayes.spacecraft import (
+    cant_axes,
+    centre_of_mass,
+    thruster_directions,
+    thruster_positions,
+)
 
 
 def change(physics: Physics, parameters: Parameters, values: Values, setting: Setting) -> Physics:
@@ -23,10 +27,10 @@ def change(physics: Physics, parameters: Parameters, values: Values, setting: Se
         return physics
     k = setting.thruster
     direction = thruster_directions(setting.spacecraft, setting.branch)[:, k]
-    second = unit_vector("z" if abs(direction[1]) > 0.5 else "y")
+    first, second = cant_axes(direction)
     force = (
         direction
-        + values["cant_a_rad"][..., None] * unit_vector("x")
+        + values["cant_a_rad"][..., None] * first
         + values["cant_b_rad"][..., None] * second
     )
     force = force / np.linalg.norm(force, axis=-1, keepdims=True)
@@ -44,7 +48,8 @@ KIND: Final = Kind(
     "thruster_misalignment",
     change,
     says=Clause(
-        "{TARGET} is canted by {0} towards X and {1} towards the other axis across its thrust",
+        "{TARGET} is canted by {0} towards X (Y if it pushes along X) and {1} towards the other"
+        " axis across its thrust",
         2 * (("°", 180.0 / np.pi),),
     ),
 )

@@ -16,6 +16,7 @@ from cassini_bayes.simulation import kernel
 from cassini_bayes.simulation.plan import Plan
 from cassini_bayes.spacecraft import (
     Spacecraft,
+    cant_axes,
     centre_of_mass,
     inertia_tensor,
     pair_indicator,
@@ -35,6 +36,8 @@ from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 LEAST_SINGULAR_VALUE: Final = 0.1
 """Of the wheel axes (1 for orthogonal ones): less, and two wheels are all but parallel."""
+LEAST_ALONG: Final = 0.5
+"""Of a thruster's force along a burn that has to be with it: within 60° of the direction."""
 NEVER_REACHED_RAD: Final = 1e9
 """Dead-band of an axis that is not the thrusters' to hold."""
 
@@ -144,14 +147,13 @@ def _edges(
 
 
 def _canted_directions(plan: Plan) -> Array:
-    """Force directions unit(d + a e1 + b e2); e1 = X, e2 across d and X (Z for ±Y, Y for ±Z)."""
+    """Force directions (3, K): unit(d + a e1 + b e2) of thrusters that are canted."""
     directions = np.array(thruster_directions(plan.spacecraft, plan.branch))
     for k, name in enumerate(plan.thrusters):
         if name not in plan.cants_rad:
             continue
         a, b = plan.cants_rad[name]
-        first = np.array([1.0, 0.0, 0.0])
-        second = np.abs(np.cross(directions[:, k], first))
+        first, second = cant_axes(directions[:, k])
         canted = directions[:, k] + a * first + b * second
         directions[:, k] = canted / np.linalg.norm(canted)
     return directions
@@ -197,16 +199,52 @@ def wheel_loop(plan: Plan) -> kernel.WheelLoop:
     )
 
 
-def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
-    """The thruster controller's settings as numbers."""
+def _burn(plan: Plan) -> tuple[Array, Array]:
+    """Thrusters (K,) of a burn, 1 or 0, and the acceleration (K,) along it by every thruster.
+
+    A burn takes the thrusters that answer no torque demand, for they serve velocity changes only;
+    where there are none, those that turn the body about X and Y. It goes where these push together,
+    without those that push elsewhere. The acceleration is what flight software computes.
+
+    Raises
+    ------
+    InputError
+        Their forces cancel each other.
+    """
+    directions = thruster_directions(plan.spacecraft, plan.branch)
+    pairs = pair_indicator(plan.spacecraft, plan.branch)
+    spare = pairs.sum(axis=0) == 0.0
+    candidates = np.asarray(spare if spare.any() else pairs[:4].sum(axis=0) > 0.0)
+    net = directions[:, candidates].sum(axis=1)
+    size = float(np.linalg.norm(net))
+    burn = candidates & (net @ directions >= LEAST_ALONG * size)
+    if size < LEAST_ALONG or not burn.any():
+        names = [name for name, is_one in zip(plan.thrusters, candidates, strict=True) if is_one]
+        raise InputError(
+            f"event {plan.event.id}: kind",
+            "for a delta_v event, thrusters that push the spacecraft somewhere together",
+            f"{', '.join(names)}, whose forces add up to {size:.2g} of one thruster's",
+            "add thrusters to the spacecraft file that are in no axis pair: they serve burns",
+        )
+    along = unit(directions[:, burn].sum(axis=1)) @ directions
+    return burn.astype(np.float64), plan.computed_acceleration_m_s2 * along
+
+
+def rcs_law(plan: Plan) -> kernel.RcsLaw:
+    """The thruster controller's settings as numbers.
+
+    Raises
+    ------
+    InputError
+        The event is a burn of a spacecraft whose thrusters push nowhere together.
+    """
     settings = plan.rcs
     pairs = pair_indicator(plan.spacecraft, plan.branch)
-    burn = np.zeros(len(plan.thrusters))
-    acceleration = 0.0
-    if plan.event.kind == "delta_v":
-        burn = np.ascontiguousarray((pairs[:4].sum(axis=0) > 0).astype(np.float64))
-        mean = float(np.mean([plan.thrust_n[name] for name in plan.thrusters]))
-        acceleration = mean * plan.parameters["fsw_acceleration_factor"] / body.mass_kg
+    burn, accelerations = np.zeros((2, len(plan.thrusters)))
+    offset_s = 0.0
+    if plan.event.kind == "delta_v" and plan.event.delta_v_m_s > 0.0:
+        burn, accelerations = _burn(plan)
+        offset_s = plan.parameters["fsw_impulse_offset_s"]
     held, band = axes_by_thrusters(plan) > 0.0, settings.proportional_band
     return kernel.RcsLaw(
         active=uses_thrusters(plan) and plan.event.thrusters_on,
@@ -226,7 +264,8 @@ def rcs_law(plan: Plan, body: kernel.Body) -> kernel.RcsLaw:
         burn=burn,
         burn_delta_v_m_s=plan.event.delta_v_m_s,
         burn_start_s=plan.event.start_s,
-        burn_acceleration_m_s2=acceleration,
+        burn_acceleration_m_s2=accelerations,
+        burn_offset_s=offset_s,
     )
 
 

@@ -171,7 +171,7 @@ def simulate_motion(
         _torque_noise(plan, n_cycles + 1, cycle, torque_rng),
         wheel_loop(plan),
         make_thrusters(plan),
-        rcs_law(plan, body),
+        rcs_law(plan),
         rwa_law(plan, body),
         attitude_knowledge,
         rate_knowledge,

@@ -111,7 +111,8 @@ class RcsLaw(NamedTuple):
     burn: Array  # (K,) 1 for thrusters of a ΔV burn
     burn_delta_v_m_s: float
     burn_start_s: float
-    burn_acceleration_m_s2: float  # assumed by the flight software, per thruster
+    burn_acceleration_m_s2: Array  # (K,) along the burn, as the flight software computes it
+    burn_offset_s: float  # on-time that it adds for every pulse
 
 
 class RwaLaw(NamedTuple):
@@ -226,6 +227,8 @@ def derivative(
                 target = speed
             accelerating = speed_loop_torque(loop, body.wheel_inertia_kg_m2[j], target, speed)
             wheel_torque = accelerating - (1.0 - loop.drag_compensation) * drag
+        elif loop.action == HOLD_WHEELS:
+            wheel_torque = -(1.0 - loop.drag_compensation) * drag
         else:
             wheel_torque = motor[j] - drag
         out[7 + j] = wheel_torque * body.wheel_inverse[j]
@@ -823,8 +826,10 @@ def advance(
                 thruster_widths(rcs, memory[0], burning, widths)
                 log_pulses(pulses, time, widths)
                 for k in range(n_thrusters):
-                    if burning and rcs.burn[k] > 0.0:
-                        burned += rcs.burn_acceleration_m_s2 * widths[k]
+                    if burning and widths[k] > 0.0:
+                        began = pulses.start_s[k, pulses.number[k] - 1] == time
+                        offset = rcs.burn_offset_s if began else 0.0
+                        burned += rcs.burn_acceleration_m_s2[k] * (widths[k] + offset)
             awake = leaking or can_thrust(time, thrusters, pulses, levels)
         if i % steps_per_record == 0:
             slew_target(rwa, time, target, rate_command, acceleration)

@@ -96,6 +96,20 @@ class Plan:
         """Names of the thrusters of the branch, in file order."""
         return self.spacecraft.thruster_names(self.branch)
 
+    @property
+    def nominal_mass_kg(self) -> float:
+        """Mass that the flight software assumes."""
+        return self.parameters["mass_kg"] / self.parameters["mass_factor"]
+
+    @property
+    def computed_acceleration_m_s2(self) -> float:
+        """Acceleration by one thruster as flight software computes it, c F/M (paper 001 eq. 22).
+
+        F is the common thrust and M the mass that it assumes, c its ``fsw_acceleration_factor``.
+        """
+        factor = self.parameters["fsw_acceleration_factor"]
+        return factor * self.parameters["thrust_common_n"] / self.nominal_mass_kg
+
     def with_parameters(self, **values: float) -> Plan:
         """The plan with other values of some parameters."""
         return replace(self, parameters=frozen_mapping({**self.parameters, **values}))

@@ -29,6 +29,8 @@ DIGITS: Final = 12
 DELTA_V_COLUMNS: Final = tuple(f"delta_v_{axis}_m_s" for axis in "xyz")
 _WITHOUT_COUNTERS: Final = ("slew", "quiescent")
 _TICK_MS: Final = 5
+ARRIVED_RPM: Final = 0.1
+"""A wheel so near to its commanded rate is there: the approach of a bias leaves 0.07 rev/min."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,14 +153,17 @@ class _Channels:
         values = np.concatenate([stepped(on_time, resolution), pulses], axis=1)
         self._keep("counter", names, values)
 
-    def delta_v(self) -> None:
+    def read_delta_v_m_s(self) -> Array:
+        """ΔV (N, 3) as it is read at every time of the motion, whether a row tells it or not."""
         if self._settings.delta_v == "measured":
             values = self._motion.delta_v_body_m_s
         else:
             values = computed_delta_v_m_s(self._plan, self._motion, self._motion.time_s)
         noise = self._noise("delta v", 3, self._level("delta_v_noise_m_s"))
-        values = stepped(values + noise, self._level("delta_v_resolution_m_s"))
-        self._keep("delta v", DELTA_V_COLUMNS, values)
+        return stepped(values + noise, self._level("delta_v_resolution_m_s"))
+
+    def delta_v(self) -> None:
+        self._keep("delta v", DELTA_V_COLUMNS, self.read_delta_v_m_s())
 
     def accelerometer(self) -> None:
         """Whole counts N of (ΔV along Z − b t)/κ (paper 000 appendix D)."""
@@ -199,16 +204,14 @@ def _turned(attitude: Array, angle: Array) -> Array:
 def computed_delta_v_m_s(plan: Plan, motion: Motion, time_s: Array) -> Array:
     """ΔV (N, 3) as flight software computes it: c F/M Σ_k d_k (T_k + offset · pulses_k).
 
-    F is the common thrust it assumes and M its mass; c and the offset are the parameters
-    ``fsw_acceleration_factor`` and ``fsw_impulse_offset_s`` (paper 001 eq. 22).
+    c F/M is the plan's ``computed_acceleration_m_s2``, the offset the parameter
+    ``fsw_impulse_offset_s`` (paper 001 eq. 22).
     """
-    parameters = plan.parameters
-    mass = parameters["mass_kg"] / parameters["mass_factor"]
-    factor = parameters["fsw_acceleration_factor"] * parameters["thrust_common_n"] / mass
+    offset_s, factor = plan.parameters["fsw_impulse_offset_s"], plan.computed_acceleration_m_s2
     directions = thruster_directions(plan.spacecraft, plan.branch)
     total = np.zeros((time_s.size, 3))
     for k, log in enumerate(motion.pulses.values()):
-        seconds = log.on_time_s(time_s) + parameters["fsw_impulse_offset_s"] * log.pulses(time_s)
+        seconds = log.on_time_s(time_s) + offset_s * log.pulses(time_s)
         total += factor * seconds[:, None] * directions[:, k]
     return total
 
@@ -258,20 +261,28 @@ def telemetry_text(telemetry: Telemetry) -> str:
     return text.getvalue()
 
 
+def _end_rpm(plan: Plan, motion: Motion, settings: TelemetrySettings) -> Array:
+    """Wheel rates (W,) at the end: the commanded ones, of wheels that are there, or the true."""
+    step = level(plan, settings, "wheel_resolution_rpm")
+    commanded = np.array(plan.event.to_rpm or plan.event.from_rpm, dtype=np.float64)
+    reached = motion.wheels_rpm[-1]
+    is_there = np.abs(reached - commanded) <= max(step, ARRIVED_RPM)
+    return np.where(is_there, commanded, stepped(reached, step))
+
+
 def totals_row(
     plan: Plan, motion: Motion, settings: TelemetrySettings, seed: int
 ) -> dict[str, Any]:
     """Totals of a bias: the fields of a totals event, as plain values and arrays.
 
-    Wheel rates are the commanded ones. On-times are rounded to their resolution.
+    Everything is that of the end of the motion, ΔV as well, whether or not telemetry has a row
+    there. On-times are rounded to their resolution.
     """
     end = np.array([motion.duration_s])
     names = plan.thrusters
     delta_v = None
     if settings.delta_v != "none":
-        columns = observe(plan, motion, settings, seed).columns
-        sampled = [columns[name][~np.isnan(columns[name])] for name in DELTA_V_COLUMNS]
-        delta_v = np.array([values[-1] for values in sampled])
+        delta_v = _Channels(plan, motion, settings, seed).read_delta_v_m_s()[-1]
     resolution = level(plan, settings, "on_time_resolution_s")
     on_time = np.array([float(motion.pulses[name].on_time_s(end)[0]) for name in names])
     return {
@@ -280,7 +291,7 @@ def totals_row(
         "branch": plan.branch,
         "wheels": plan.wheel_numbers,
         "rwa_start_rpm": np.array(plan.event.from_rpm, dtype=np.float64),
-        "rwa_end_rpm": np.array(plan.event.to_rpm or plan.event.from_rpm, dtype=np.float64),
+        "rwa_end_rpm": _end_rpm(plan, motion, settings),
         "duration_s": motion.duration_s,
         "thrusters": names,
         "on_time_s": stepped(on_time, resolution),
@@ -288,7 +299,7 @@ def totals_row(
         "delta_v_m_s": delta_v,
         "delta_v_source": None if settings.delta_v == "none" else settings.delta_v,
         "hydrazine_g": hydrazine_g(plan, motion),
-        "mass_kg": plan.parameters["mass_kg"] / plan.parameters["mass_factor"],
+        "mass_kg": plan.nominal_mass_kg,
         "thrust_predicted_n": plan.parameters["thrust_common_n"],
         "source": "simulation",
     }

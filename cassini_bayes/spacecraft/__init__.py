@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cassini_bayes.spacecraft.cant_axes import cant_axes
 from cassini_bayes.spacecraft.description import (
     AXIS_DEMANDS,
     WHEEL_KEYS,
@@ -33,6 +34,7 @@ __all__ = [
     "Spacecraft",
     "Thruster",
     "Wheel",
+    "cant_axes",
     "centre_of_mass",
     "check_axis_pairs",
     "couples",

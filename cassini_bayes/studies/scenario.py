@@ -152,7 +152,7 @@ def draw_truth(file: ScenarioFile, seed: int, priors: Priors | None = None) -> T
         drawn = {name: draw(name) for name in known if name not in kept}
         if not individual and "thrust_individual_n" in known:
             individual = {k: draw("thrust_individual_n", k) for k in thrusters}
-        if "thrust_event_n" in known:
+        if "thrust_event_n" in known and "thrust_event_n" not in given:
             for event in ids:
                 events[event].setdefault("thrust_event_n", draw("thrust_event_n", event))
         if "thrust_jitter_n" in known:
@@ -276,7 +276,7 @@ def simulate_scenario(
         Anything wrong with the scenario, or a folder that holds something already; with ``force``,
         something of an event's name that is no event.
     """
-    check_seed(seed, "--seed")
+    seed = check_seed(seed, "--seed")
     file = read_scenario(path, own)
     folder = Path(out)
     if folder.exists() and not folder.is_dir():

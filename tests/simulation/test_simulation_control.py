@@ -10,10 +10,11 @@ from typing import Any, Final
 import numpy as np
 import pytest
 from simulation_cases import BIAS, PARAMETERS, SLEWS, make_plan, run
+from spacecraft_cases import TWELVE
 
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import Truth, kernel, scenario_of
-from cassini_bayes.simulation.arrays import make_body
+from cassini_bayes.simulation.arrays import rcs_law
 from cassini_bayes.simulation.engine import event_duration_s, ramp_duration_s
 from cassini_bayes.simulation.events import make_plan as plan_of
 from cassini_bayes.simulation.motion import Motion
@@ -24,10 +25,12 @@ from cassini_bayes.simulation.settings import (
     StartSettings,
     WheelSettings,
 )
+from cassini_bayes.simulation.telemetry import computed_delta_v_m_s
 from cassini_bayes.spacecraft import load_spacecraft, pair_indicator
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+DATA = Path(__file__).parents[1] / "data"
 QUIET = RcsSettings(attitude_knowledge_rad=0.0, rate_knowledge_rad_s=0.0)
 
 
@@ -182,7 +185,6 @@ def test_proportional_pulses_have_many_widths() -> None:
 def widths_for(widths: list[float], shared: bool, burning: bool = False) -> list[float]:
     """Thruster widths z1…z4, y1…y4 that the mapping gives for demands +x −x +y −y +z −z."""
     plan = make_plan()
-    body = make_body(plan)
     law = kernel.RcsLaw(
         active=True,
         dead_band_rad=np.full(3, 2e-3),
@@ -201,7 +203,8 @@ def widths_for(widths: list[float], shared: bool, burning: bool = False) -> list
         burn=np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0]),
         burn_delta_v_m_s=1.0,
         burn_start_s=0.0,
-        burn_acceleration_m_s2=1.0 / body.mass_kg,
+        burn_acceleration_m_s2=np.full(8, 1.0 / 2400.0),
+        burn_offset_s=0.0,
     )
     out = np.zeros(8)
     kernel.thruster_widths(law, np.array(widths), burning, out)
@@ -227,16 +230,18 @@ def test_a_burn_fires_all_z_thrusters_but_those_that_a_demand_leaves_out() -> No
     assert widths_for([0, 0.1, 0, 0, 0, 0], True, burning=True)[2] == pytest.approx(0.025)
 
 
+BURN: Final[dict[str, Any]] = {
+    "id": "burn",
+    "kind": "delta_v",
+    "from_rpm": (0.0, 0.0, 0.0),
+    "delta_v_m_s": 0.02,
+    "duration_s": 120.0,
+}
+
+
 def test_a_burn_reaches_its_velocity_change() -> None:
     """A 20 mm/s burn stops at the computed ΔV; holding the attitude later adds a few pulses."""
-    event = {
-        "id": "burn",
-        "kind": "delta_v",
-        "from_rpm": (0.0, 0.0, 0.0),
-        "delta_v_m_s": 0.02,
-        "duration_s": 120.0,
-    }
-    plan = make_plan(event, rcs=RcsSettings(dead_band_rad=(8.7e-3, 8.7e-3, 17.5e-3)))
+    plan = make_plan(BURN, rcs=RcsSettings(dead_band_rad=(8.7e-3, 8.7e-3, 17.5e-3)))
     motion = run(plan)
     commanded = sum(
         float(log.width_s.sum()) for name, log in motion.pulses.items() if name.startswith("z")
@@ -248,6 +253,96 @@ def test_a_burn_reaches_its_velocity_change() -> None:
     )
     assert motion.delta_v_body_m_s[-1, 2] < -0.02
     assert np.abs(motion.attitude_error_rad).max() < 0.02
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.2])
+@pytest.mark.parametrize("mass_factor", [1.0, 0.9])
+def test_a_burn_ends_by_what_is_computed_whatever_is_hidden(
+    offset_s: float, mass_factor: float
+) -> None:
+    """Weak thrusters and another mass change the true ΔV, not the computed one, which is reached
+    within a control cycle in each case; the flight software's offset of every pulse counts.
+    """
+    software = {"fsw_impulse_offset_s": offset_s, "fsw_acceleration_factor": 1.1}
+    mass = {"mass_kg": 2400.0 * mass_factor, "mass_factor": mass_factor}
+    wide = RcsSettings(dead_band_rad=(2e-3, 2e-3, 17.5e-3))
+    plan = make_plan({**BURN, "start_s": 30.0}, parameters={**software, **mass}, rcs=wide)
+    ends, true = [], []
+    for changed in (plan, plan.with_thrust_factor(0.7), plan.with_thrust_factor(0.6, only="z2")):
+        motion = run(changed)
+        time = motion.time_s
+        computed = -computed_delta_v_m_s(changed, motion, time)[:, 2]
+        # a pulse counts from its start: those of the burn's first cycle are not there just before
+        before = -computed_delta_v_m_s(changed, motion, np.array([30.0 - 1e-9]))[0, 2]
+        gained = computed - before
+        reached = time[np.argmax(gained >= 0.02 - 1e-9)]
+        firing = [log.on_time_s(time) for name, log in motion.pulses.items() if name[0] == "z"]
+        steps = np.diff(np.stack(firing), axis=1).sum(axis=0)
+        after = steps[time[:-1] > reached + 0.2]
+        assert after.max() <= 0.25 + 1e-9  # pairs that hold the attitude
+        in_burn = steps[(time[:-1] >= 30.0) & (time[1:] < reached - 0.2)]
+        assert in_burn.min() > 0.0
+        ends.append(float(gained[np.argmax(gained >= 0.02 - 1e-9)]))
+        true.append(-float(motion.delta_v_body_m_s[time == reached, 2][0]))
+    assert max(ends) < 0.02 + 4.0 * 1.1 * 0.75 / 2400.0 * (0.125 + offset_s)
+    assert true[1] < 0.85 * true[0]
+
+
+def burn_law(spacecraft: str | Path, branch: str) -> kernel.RcsLaw:
+    """The law of a burn by another spacecraft."""
+    plan = replace(make_plan(BURN), spacecraft=load_spacecraft(spacecraft), branch=branch)
+    return rcs_law(plan)
+
+
+def test_a_burn_takes_thrusters_that_push_together() -> None:
+    """Cassini's four Z thrusters and the example's four; of twelve canted ones the two that answer
+    no torque demand, which had been left out. Along the burn each counts with its part of it.
+    """
+    for craft, branch in (("cassini", "B"), (EXAMPLES / "observer.toml", "main")):
+        law = burn_law(craft, branch)
+        assert law.burn.tolist() == [1.0] * 4 + [0.0] * 4
+        assert law.burn_acceleration_m_s2.tolist() == [0.75 / 2400.0] * 4 + [0.0] * 4
+    for branch in "PR":
+        law = burn_law(TWELVE, branch)
+        names = load_spacecraft(TWELVE).thruster_names(branch)
+        assert [name for name, on in zip(names, law.burn, strict=True) if on] == ["v1", "v2"]
+        along = 0.28 * 0.36 + 0.96 * 0.8
+        assert law.burn_acceleration_m_s2[0] == pytest.approx(0.75 / 2400.0 * along)
+        assert law.burn_acceleration_m_s2[-1] == pytest.approx(0.75 / 2400.0)
+
+
+def test_a_burn_leaves_out_what_pushes_elsewhere() -> None:
+    """Without thrusters of their own for burns, twelve takes the four oblique ones of X and Y, and
+    not a fifth that pushes sideways.
+    """
+    plan, craft = make_plan(BURN), load_spacecraft(TWELVE)
+    pairs = {**craft.axis_pairs, "+x": ("p1", "p2", "v1", "v2", "r1")}
+    law = rcs_law(replace(plan, spacecraft=replace(craft, axis_pairs=pairs), branch="P"))
+    names = craft.thruster_names("P")
+    burning = [name for name, on in zip(names, law.burn, strict=True) if on]
+    assert burning == ["p1", "p2", "p3", "p4", "v1", "v2"]
+
+
+def test_a_burn_of_pure_couples_is_refused() -> None:
+    """Eight thrusters in couples push nowhere: before, they fired for nothing."""
+    couples = DATA / "pure_couples" / "spacecraft.toml"
+    with pytest.raises(InputError, match="push the spacecraft somewhere") as caught:
+        burn_law(couples, "prime")
+    assert "t1, t2, t3, t4, t5, t6, t7, t8" in caught.value.got
+    bias = replace(make_plan(), spacecraft=load_spacecraft(couples), branch="prime")
+    assert not rcs_law(bias).burn.any()
+
+
+@pytest.mark.parametrize(("compensation", "kept"), [(1.0, 1.0), (0.25, None), (0.0, None)])
+def test_wheel_drag_is_compensated_in_a_burn(compensation: float, kept: float | None) -> None:
+    """A wheel at rest in the manager's loop keeps its rate if drag is compensated; else it decays
+    by what is left, with the time constant I_w/((1 − compensation) viscous).
+    """
+    viscous = 5e-4
+    manager = WheelSettings(drag_viscous_n_m_s=viscous, drag_compensation=compensation)
+    motion = run(make_plan({**BURN, "from_rpm": (900.0, 0.0, 0.0)}, manager=manager))
+    expected = kept or math.exp(-(1.0 - compensation) * viscous * 120.0 / 0.161)
+    assert motion.wheels_rpm[-1, 0] / 900.0 == pytest.approx(expected, rel=2e-4)
 
 
 def test_the_adaptive_law_shortens_two_sided_cycles() -> None:

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from simulation_cases import BIAS, PARAMETERS, make_plan, run
 from simulation_cases import EFFECT_CASES as CASES
-from spacecraft_cases import TWELVE, middle
+from spacecraft_cases import TWELVE, middle, priors_of
 
+from cassini_bayes.balance.physics import physics_of
+from cassini_bayes.effects.catalogue import read_catalogue
 from cassini_bayes.errors import InputError
 from cassini_bayes.simulation import EFFECTS, EffectRequest, choose_effect, observe
 from cassini_bayes.simulation.arrays import make_body, make_thrusters
@@ -131,16 +133,44 @@ def test_a_warm_up_follows_its_formula() -> None:
     assert delivered == pytest.approx(expected, rel=0.02)
 
 
-def test_an_effect_on_a_wheel_changes_that_wheel_alone_whatever_its_parameters_are_called() -> None:
-    """Twelve's wheels 1 and 2 share an inertia, wheel 5 tilts under names of its own; before, both
-    effects set parameters that its file does not have, and changed nothing.
-    """
-    plan = replace(
+def twelve_plan() -> Plan:
+    """A plan of the made-up spacecraft with canted thrusters, parameters at their prior means."""
+    return replace(
         make_plan(wheels=(1, 2, 3, 5)),
         spacecraft=load_spacecraft(TWELVE),
         branch="P",
         parameters=frozen_mapping({**PARAMETERS, **middle("twelve")}),
     )
+
+
+@pytest.mark.parametrize("thruster", ["p1", "p3", "r1", "r4", "v1"])
+def test_a_cant_is_the_same_flown_and_diagnosed(thruster: str) -> None:
+    """Lever arms of oblique thrusters: the simulation's are those of the catalogue's effect. Either
+    cant moves the arm alone.
+    """
+    plan, priors = twelve_plan(), priors_of("twelve")
+    plan = replace(plan, thrust_n=frozen_mapping(dict.fromkeys(plan.thrusters, 1.0)))
+    name = f"thruster_misalignment:{thruster}"
+    effect = read_catalogue(priors, (1, 2, 3, 5), ("telemetry", "totals")).effect(name)
+    modify = effect.modifier(plan.spacecraft, plan.branch)
+    k, plain = plan.thrusters.index(thruster), make_thrusters(plan).levers_m
+    for cants in ((0.04, -0.03), (0.04, 0.0), (0.0, -0.03)):
+        flown = make_thrusters(
+            chosen(name, dict(zip(("cant_a_rad", "cant_b_rad"), cants, strict=True)), plan)
+        ).levers_m
+        point = {key: np.array([value]) for key, value in middle("twelve").items()}
+        for parameter, value in zip(effect.parameters, cants, strict=True):
+            point[parameter.name] = np.array([value])
+        arms = physics_of(plan.spacecraft, plan.branch, point, (modify,)).arms_m[0]
+        np.testing.assert_allclose(arms, flown, atol=1e-12)
+        assert np.linalg.norm(flown[:, k] - plain[:, k]) > 0.01
+
+
+def test_an_effect_on_a_wheel_changes_that_wheel_alone_whatever_its_parameters_are_called() -> None:
+    """Twelve's wheels 1 and 2 share an inertia, wheel 5 tilts under names of its own; before, both
+    effects set parameters that its file does not have, and changed nothing.
+    """
+    plan = twelve_plan()
     plain = make_body(plan)
     heavy = make_body(chosen("wheel_inertia:2", {"rwa2_inertia_kg_m2": 0.3}, plan))
     changed = heavy.wheel_inertia_kg_m2 != plain.wheel_inertia_kg_m2

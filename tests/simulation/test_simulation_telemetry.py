@@ -154,6 +154,50 @@ def test_totals_follow_from_the_counters() -> None:
     assert row["hydrazine_g"] == pytest.approx(grams, rel=1e-12)
 
 
+@pytest.mark.parametrize("kind", ["computed", "measured"])
+def test_totals_have_the_velocity_change_of_the_end(kind: str) -> None:
+    """Whether or not a row tells it: with an interval that does not divide the duration, or with
+    drop-outs, it had been that of the last sample, which is another.
+    """
+    plan = make_plan({**SHORT, "duration_s": 77.0}, parameters={**BIASES, **FSW})
+    motion = run(plan, record_s=1.0)
+    noisy = {"delta_v": kind, "delta_v_noise_m_s": 1e-5, "delta_v_resolution_m_s": 1e-6}
+    sampled = TelemetrySettings.model_validate({**noisy, "delta_v_every_s": 1.0})
+    rows = observe(plan, motion, sampled, 3).columns
+    end = [rows[f"delta_v_{axis}_m_s"][-1] for axis in "xyz"]
+    for telling in ({"delta_v_every_s": 1.0}, {"delta_v_every_s": 50.0}, {"drop_out": 0.9}):
+        settings = TelemetrySettings.model_validate({**noisy, **telling})
+        row = totals_row(plan, motion, settings, 3)
+        np.testing.assert_array_equal(row["delta_v_m_s"], end)
+    true = motion.delta_v_body_m_s[:, 2]
+    assert end[2] == pytest.approx(true[-1], rel=0.1)
+    assert abs(true[50] / true[-1] - 1.0) > 0.2  # what a row at 50 s would tell
+
+
+def test_totals_tell_the_rates_that_wheels_have() -> None:
+    """The commanded ones where they were reached; the true ones, in steps of telemetry, where an
+    event ends too early or drag leaves wheels short. A step wider than that hides it.
+    """
+    drag = {"drag_viscous_n_m_s": 5e-5, "drag_compensation": 0.5}
+    cases = (
+        (SHORT, WheelSettings()),
+        ({**SHORT, "duration_s": 40.0}, WheelSettings()),
+        (SHORT, WheelSettings.model_validate(drag)),
+    )
+    rows, motions = [], []
+    for event, manager in cases:
+        plan = make_plan(event, parameters={**BIASES, **FSW}, manager=manager)
+        motions.append(run(plan, record_s=1.0))
+        for step in (0.25, 500.0):
+            settings = TelemetrySettings(wheel_resolution_rpm=step)
+            rows.append(totals_row(plan, motions[-1], settings, 1)["rwa_end_rpm"])
+    for commanded in (rows[0], *rows[1::2]):
+        assert commanded.tolist() == list(SHORT["to_rpm"])
+    for told, motion in zip(rows[2::2], motions[1:], strict=True):
+        assert np.abs(told - motion.wheels_rpm[-1]).max() <= 0.125 + 1e-9
+        assert np.abs(told - SHORT["to_rpm"]).min() > 0.7
+
+
 @pytest.mark.parametrize("interval", [0.0123, 0.0005])
 def test_an_interval_off_the_grid_is_refused(interval: float) -> None:
     """Channels are sampled on the integrator's grid."""

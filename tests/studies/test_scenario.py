@@ -237,6 +237,21 @@ def test_a_given_value_is_not_drawn_and_changes_no_other(tmp_path: Path) -> None
     assert drawn.jitter_n["one"]["z1"] != drawn.jitter_n["two"]["z1"]
 
 
+def test_a_departure_of_all_events_that_is_given_is_not_drawn(tmp_path: Path) -> None:
+    """``thrust_event_n`` of [truth] is what every event has, but one with its own; nothing else
+    is drawn otherwise.
+    """
+    text = TEXT.replace("mass_kg", "thrust_event_n = 0.04\nmass_kg")
+    own = text.replace('id = "two"', 'id = "two"\ntruth = { thrust_event_n = -0.02 }')
+    drawn = draw_truth(read_scenario(written(tmp_path)), 11)
+    for content, second in ((text, 0.04), (own, -0.02)):
+        given = draw_truth(read_scenario(written(tmp_path, content)), 11)
+        assert [given.of(event)["thrust_event_n"] for event in ("one", "two")] == [0.04, second]
+        assert given.jitter_n == drawn.jitter_n
+        assert given.individual_n == drawn.individual_n
+        assert given.parameters == {**drawn.parameters, "thrust_event_n": 0.04}
+
+
 def test_totals_can_be_read_back(tmp_path: Path) -> None:
     """totals.csv is a totals file of source ``simulation``, with the counters of telemetry."""
     simulation = simulate_scenario(written(tmp_path), tmp_path / "out", 1)
