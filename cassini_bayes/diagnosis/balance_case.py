@@ -62,7 +62,12 @@ from cassini_bayes.diagnosis.p_value import p_value
 from cassini_bayes.diagnosis.refit import fit_extended
 from cassini_bayes.diagnosis.score import HeldOut
 from cassini_bayes.diagnosis.search import ModeSearch, newton_search, with_whole_curvature
-from cassini_bayes.diagnosis.second_reckoning import leads, reckoned_again, unknown_again
+from cassini_bayes.diagnosis.second_reckoning import (
+    gain_of_unknown,
+    leads,
+    reckoned_again,
+    with_lesser_gain,
+)
 from cassini_bayes.diagnosis.separation import separating_measurement
 from cassini_bayes.diagnosis.shared_torque import torque_again
 from cassini_bayes.diagnosis.sizes import mixed, size_draws, summarised
@@ -208,8 +213,11 @@ class BalanceCase(Case[Hypothesis]):
                 weighed.append(self._settled(result, (), base, best, workers))
         believed = events.catalogue.unknown.torque_noise
         if is_known := leads(weighed) == UNKNOWN:  # before draws, for what is near the best
-            weighed[1] = unknown_again(weighed[1], weighed[0], believed)
+            gained = gain_of_unknown(weighed[1], weighed[0], believed)
+            weighed[1] = with_lesser_gain(weighed[1], weighed[0], gained)
         sampled = _sampled_near_best(weighed, rng, workers)
+        if is_known:  # draws have other evidences
+            sampled[1] = with_lesser_gain(sampled[1], sampled[0], gained)
         summed = beginnings.summed(sampled, sampled[0].net_evidence)
         again = reckoned_again(torque_again(summed), believed, unknown_too=not is_known)
         return with_thruster_forms(again, events.catalogue.unknown)

@@ -45,8 +45,8 @@ from cassini_bayes.spacecraft.attitude import direction_cosines
 from cassini_bayes.spacecraft.units import RPM_PER_RAD_S
 
 TIMES: Final = 24
-"""Places in the longest event at which something may begin or end: judgement, a minute in half an
-hour, and what is drafted is refined by hand."""
+"""Places between the first row and the last at which something may begin or end: judgement, a
+minute in half an hour, and what is drafted is refined by hand."""
 QUARTERS: Final = 4  # of an event, where there are too few events to hold out
 LINES: Final = 2  # frequencies for each axis that are looked at, those of most power
 MOST: Final = 5  # drafts of a record: one of every form
@@ -276,8 +276,10 @@ def _without_each(linear: Linear, target: Array, white: Array) -> tuple[list[_In
 
 def _columns(rows: Sequence[InnovationRows], thrusts: Sequence[Array]) -> _Columns:
     columns = _Columns(rows)
-    longest = max(float(event.time_s[-1]) for event in rows)
-    times = np.linspace(0.0, longest, TIMES + 2)[:-1]
+    # events may begin long after their epoch
+    first = min(float(event.time_s[0]) for event in rows)
+    last = max(float(event.time_s[-1]) for event in rows)
+    times = np.linspace(first, last, TIMES + 2)[:-1]
     for c, axis in enumerate(AXES):
         _jumps(columns, times[1:], c, axis)
         ramps = [columns.add(_about(c, _since(start))) for start in times]

@@ -137,7 +137,12 @@ def is_estimates(path: Path) -> bool:
 
 
 def read_estimates(path: Path, thrusters: Sequence[str]) -> tuple[Estimate, ...]:
-    """Read a CSV of estimates; lines that start with ``#`` are comments.
+    """Read a CSV of estimates (:func:`read_all_estimates`)."""
+    return read_all_estimates([path], thrusters)
+
+
+def read_all_estimates(paths: Sequence[Path], thrusters: Sequence[str]) -> tuple[Estimate, ...]:
+    """Read CSV files of estimates; lines that start with ``#`` are comments.
 
     ``thruster`` is one of ``thrusters`` or ``all``; several widths are ``133;16;1`` pulses of
     ``0.125;0.25;0.5`` s.
@@ -145,15 +150,28 @@ def read_estimates(path: Path, thrusters: Sequence[str]) -> tuple[Estimate, ...]
     Raises
     ------
     InputError
-        A missing or unknown column, or a bad value: file, line and column are named.
+        A missing or unknown column, or a bad value; rows that do not share one ``shared_sd``, an
+        id twice, in one file or two: file, line and column are named.
     """
-    table = read_rows(path, COLUMNS, COLUMNS, "a CSV of estimates", comments=True)
-    rows = tuple(_estimate(row, thrusters) for row in table)
-    if len({row.shared_sd for row in rows}) > 1:
-        raise InputError(
-            f"{path}: column shared_sd", "one value in all rows", "several", "make them equal"
-        )
-    return rows
+    what = "a CSV of estimates"
+    rows = [row for path in paths for row in read_rows(path, COLUMNS, COLUMNS, what, comments=True)]
+    estimates = tuple(_estimate(row, thrusters) for row in rows)
+    _check_together(rows, estimates)
+    return estimates
+
+
+def _check_together(rows: Sequence[Row], estimates: Sequence[Estimate]) -> None:
+    """Refuse rows that differ in what all share, and one id of two: each is an observation."""
+    known: dict[str, Row] = {}
+    for row, estimate in zip(rows, estimates, strict=True):
+        if estimate.shared_sd != estimates[0].shared_sd:
+            first = rows[0].where("shared_sd")
+            expected = f"one value in all rows, {estimates[0].shared_sd:g} as in {first}"
+            raise row.refuse("shared_sd", expected, "make them equal")
+        if estimate.id in known:
+            expected = f"another id than in {known[estimate.id].where('id')}"
+            raise row.refuse("id", expected, "rename one, or leave one out")
+        known[estimate.id] = row
 
 
 def _estimate(row: Row, thrusters: Sequence[str]) -> Estimate:

@@ -93,7 +93,7 @@ def prepare(
     ``kinds`` are the effects that there are; those of the package by default. Causes are weighed by
     momentum: a measured velocity change is left out. What rows with late pulses cannot tell is not
     weighed where an event has them, nor by slews alone what needs turns about an axis at rest: a
-    finding says so.
+    finding says so. The causes that are weighed have all that causes have of the prior probability.
     """
     known = standard() if kinds is None else kinds
     events: tuple[Event, ...] = (*rows, *telemetry)
@@ -113,8 +113,17 @@ def prepare(
             for event in telemetry
         ),
         tuple(rows),
-        replace(catalogue, effects=told),
+        replace(catalogue, effects=shared_out(told, catalogue.odds.catalogued)),
         (_not_weighed(left_out),) if left_out else (),
+    )
+
+
+def shared_out(effects: Sequence[Effect], probability: float) -> tuple[Effect, ...]:
+    """Effects with a prior probability shared by their kinds, a kind's by its targets."""
+    kinds = [effect.kind.name for effect in effects]
+    return tuple(
+        replace(effect, prior_probability=probability / len(set(kinds)) / kinds.count(kind))
+        for kind, effect in zip(kinds, effects, strict=True)
     )
 
 

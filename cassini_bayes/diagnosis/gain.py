@@ -220,7 +220,7 @@ def held_out_telemetry(
     A search before the fits has seen all events: what it took from one alone is paid for.
     """
     whole, without = by_all(events, weighed, fits[0]), _by_event(events, fits)
-    known: dict[tuple[str, ...], tuple[Linear, list[Array]]] = {}
+    known: dict[tuple[int, tuple[str, ...]], tuple[Linear, list[Array]]] = {}
     searched = settled_for(weighed.hypothesis.effects)
     scores, residuals, inside = [], [], []
     for place, event in enumerate(events.telemetry):
@@ -230,11 +230,12 @@ def held_out_telemetry(
         predicted = []
         for way in ways:
             begins = tuple(str(effect.onset) for effect in way.whole.effects)
-            centre = way.member.mode.point
-            if begins not in known:
+            # one beginning may be taught by several members, each linear about its own mode
+            own, centre = (id(way.member), begins), way.member.mode.point
+            if own not in known:
                 rows, factors = linearise(way.whole, centre)
-                known[begins] = with_torque_noise(way.whole, centre, rows, factors), factors
-            linear, factors = known[begins]
+                known[own] = with_torque_noise(way.whole, centre, rows, factors), factors
+            linear, factors = known[own]
             predicted.append((*predicted_rows(linear, place, -centre), factors[place]))
         white, spread, factor = averaged(ways, predicted)
         residuals.append((white.reshape(-1, 3) @ factor.T).ravel())

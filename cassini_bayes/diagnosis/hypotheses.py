@@ -26,7 +26,8 @@ from cassini_bayes.model.posterior import (
     with_equal_bands_merged,
     without_idle,
 )
-from cassini_bayes.model.telemetry import TORQUE_NOISE
+from cassini_bayes.model.telemetry import TORQUE_NOISE, TelemetryTerm
+from cassini_bayes.model.terms import Points
 from cassini_bayes.priors.distributions import Distribution
 
 HOLD_RATE: Final = "hold_rate_rad_s"
@@ -142,6 +143,19 @@ def unknown_hypothesis(events: Events) -> Hypothesis:
         priors = priors.with_distribution(HOLD_RATE, Distribution("lognorm", wider))
     model = build_model(events.all, priors, keep_idle=True)
     return Hypothesis(UNKNOWN, model, events.catalogue.odds.unknown, farthest=UNKNOWN_FARTHEST)
+
+
+def thrust_factors(term: TelemetryTerm, located: Points) -> Array:
+    """By what effects multiply the levels of an event's thrusters at n points, (n, K); else 1."""
+    thrusters = term.balance.pattern.thrusters
+    factor = term.thrust_factor(located) if thrusters else None
+    return np.ones((located.n, thrusters)) if factor is None else factor[:, 0]
+
+
+def expected_thrusts_n(term: TelemetryTerm, located: Points) -> Array:
+    """Mean levels (n, K), N, of an event's thrusters at n points, times effects' factors."""
+    factors = thrust_factors(term, located)
+    return located.mean_levels_n[:, : factors.shape[1]] * factors
 
 
 def extend(base: Hypothesis, effects: Sequence[Effect]) -> Hypothesis:

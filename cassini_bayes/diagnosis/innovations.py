@@ -30,7 +30,7 @@ from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
-from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, expected_thrusts_n, thrust_factors
 from cassini_bayes.diagnosis.rows_and_turns import with_turns
 from cassini_bayes.diagnosis.unresolved import unresolved
 from cassini_bayes.effects.effect import Remainder
@@ -105,7 +105,7 @@ def linearise(
     d = len(z)
     points = np.vstack([z, z + _STEP * np.eye(d), z - _STEP * np.eye(d)])
     located = model.points(points)
-    levels, loading = located.mean_levels_n, model.thrust_prior.shared
+    loading = model.thrust_prior.shared
     targets, blocks, event_precision, factors = [], [], [], []
     for term in model.telemetry:
         terms, physics, rows = term.balance, term.physics(located), term.event.usable_rows
@@ -115,9 +115,7 @@ def linearise(
         smooth = smoothed(rows, terms.statistics.layout) if smooth_channels else rows
         centre = _columns(terms, rows, weights[0])
         k = terms.pattern.thrusters
-        changed = term.thrust_factor(located) if k else None
-        moved = np.ones((len(points), k)) if changed is None else changed[:, 0]
-        thrust = levels[:, :k] * moved
+        moved, thrust = thrust_factors(term, located), expected_thrusts_n(term, located)
         mean = np.concatenate([thrust[0], terms.initial_mean_n_m_s, model.torque_mean_n_m])
         unknown = centre[:, :, :-1]
         at = np.concatenate([mean, np.zeros(unknown.shape[2] - len(mean))])
@@ -161,6 +159,9 @@ def effect_momentum(
 ) -> list[Array]:
     """What effects add to the rows of every telemetry event, (n, 3, S), N m s, at z (d,).
 
+    With U the momentum per newton and F the mean levels, an effect that makes U′ of U and the
+    levels' factors f′ of those of the base, f, adds (U′ − U) F f + U F (f′ − f).
+
     Parameters
     ----------
     base
@@ -178,15 +179,14 @@ def effect_momentum(
     result = []
     for place, term in enumerate(model.telemetry):
         terms, k = term.balance, term.balance.pattern.thrusters
-        physics = term.physics(located)
+        physics, before = term.physics(located), thrust_factors(term, located)[0]
         weights, shifts = [], []
         for (own, _), at in zip(extended, points, strict=True):
             with_effect = own.model.telemetry[place]
             weights.append(balance_weights(terms, with_effect.physics(at)))
-            factor = with_effect.thrust_factor(at) if k else None
-            none = np.zeros((at.n, k))
-            shifts.append(none if factor is None else thrust[:k] * (factor[:, 0] - 1.0))
-        mean = (thrust[:k], terms.initial_mean_n_m_s, model.torque_mean_n_m)
+            shifts.append(thrust[:k] * (thrust_factors(with_effect, at) - before))
+        at_base = expected_thrusts_n(term, located)[0]
+        mean = (at_base, terms.initial_mean_n_m_s, model.torque_mean_n_m)
         added = _slopes(
             terms,
             smoothed(term.event.usable_rows, terms.statistics.layout),

@@ -374,7 +374,8 @@ def _with_totals(
     model, d = full.model, len(z)
     prior, term = model.thrust_prior, model.totals_rows
     points = np.vstack([z, z + STEP * np.eye(d), z - STEP * np.eye(d)])
-    system = term.at(model.points(points)).system
+    located = model.points(points)
+    system, factor = term.at(located).system, term.thrust_factor(located)
     left = _unexplained(full, points)
     slopes = (left[1 + d :] - left[1 : 1 + d]) / (2.0 * STEP)
     effects = np.concatenate(
@@ -389,8 +390,9 @@ def _with_totals(
         noise = (system.covariance[0, row] + system.torque_covariance[row])[:3, :3]
         inverse = np.linalg.inv(np.linalg.cholesky(noise))
         design = system.design[0, row, :3]
+        levels = prior.scaled(None if factor is None else factor[0, row]).shared
         targets.append(inverse @ left[0, row])
-        shared.append(inverse @ np.column_stack([slopes[:, row].T, design @ prior.shared]))
+        shared.append(inverse @ np.column_stack([slopes[:, row].T, design @ levels]))
         departures.append(inverse @ design @ prior.departures)
         added.append(inverse @ effects[:, row].T)
     width, by_event = shared[0].shape[1], block_diag(*departures)

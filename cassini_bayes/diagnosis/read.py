@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.diagnosis.estimate_case import EstimateCase, estimate_case
-from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_estimates
+from cassini_bayes.diagnosis.estimates import estimates_of, is_estimates, read_all_estimates
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.effects.registry import Kinds
 from cassini_bayes.errors import InputError
@@ -69,12 +69,12 @@ def read_estimate_case(
     Raises
     ------
     InputError
-        Another input among them, or bad data or priors.
+        Another input among them, bad data or priors, or files that do not go together.
     """
     other = [reference for reference in references if not is_estimates(Path(reference))]
     if other:
         raise InputError(other[0], "estimates alone", "another input", "diagnose it on its own")
     priors = read_priors(priors_path)
     thrusters = priors.spacecraft.thruster_names(priors.branch)
-    rows = [row for reference in references for row in read_estimates(Path(reference), thrusters)]
+    rows = read_all_estimates([Path(reference) for reference in references], thrusters)
     return estimate_case(estimates_of(rows, priors), priors, kinds)

@@ -38,7 +38,7 @@ from scipy.special import logsumexp
 from cassini_bayes.balance.linearised import mean_change_of_evidence
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.diagnosis.case import NONE, UNKNOWN, Weighed
+from cassini_bayes.diagnosis.case import NONE, UNKNOWN, H, Weighed
 from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import (
     effect_momentum,
@@ -191,18 +191,32 @@ def gain_by_wander(
 def unknown_again(
     unknown: Weighed[Hypothesis], none: Weighed[Hypothesis], believed: Distribution
 ) -> Weighed[Hypothesis]:
-    """``unknown``, a torque that wanders, with the lesser of both gains over ``none``.
+    """``unknown``, a torque that wanders, with the lesser of both gains over ``none``."""
+    return with_lesser_gain(unknown, none, gain_of_unknown(unknown, none, believed))
 
-    With totals rows beside telemetry, or without telemetry, it stays as it is: what it says of
-    these has no linear model.
+
+def gain_of_unknown(
+    unknown: Weighed[Hypothesis], none: Weighed[Hypothesis], believed: Distribution
+) -> float:
+    """Log evidence (nats) that ``unknown`` gains over ``none`` by columns.
+
+    Infinite with totals rows beside telemetry, or without telemetry: what it says of these has no
+    linear model, and its evidence stays as it is.
     """
-    model = none.hypothesis.model
+    model, baseline = none.hypothesis.model, none.hypothesis
     if model.totals or not model.telemetry:
-        return unknown
-    by_bands, baseline = unknown.own_evidence - none.net_evidence, none.hypothesis
+        return float("inf")
     beside = baseline.part_of(unknown.hypothesis, unknown.mode.point)
     about = [(none.mode.point, left_by(none)), (beside, innovations(baseline, beside))]
-    gained = max(gain_by_wander(baseline, at, left, believed) for at, left in about)
+    return max(gain_by_wander(baseline, at, left, believed) for at, left in about)
+
+
+def with_lesser_gain(unknown: Weighed[H], none: Weighed[H], gained: float) -> Weighed[H]:
+    """``unknown`` with the lesser of its gain over ``none`` and of ``gained`` by columns, nats.
+
+    Where draws have replaced Laplace's evidence of either, what is withheld is another.
+    """
+    by_bands = unknown.own_evidence - none.net_evidence
     return replace(unknown, withheld=max(by_bands - gained, 0.0))
 
 

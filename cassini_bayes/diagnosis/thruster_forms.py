@@ -32,10 +32,11 @@ from scipy.special import logsumexp
 from cassini_bayes.balance.linearised import Information, mean_change_of_evidence
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import NONE, UNKNOWN, H, Weighed
-from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, expected_thrusts_n
 from cassini_bayes.diagnosis.innovations import examined, left_by, thrust_columns
 from cassini_bayes.diagnosis.rows_and_turns import BesideMode, side_by_side
 from cassini_bayes.diagnosis.second_reckoning import named_in_columns
+from cassini_bayes.effects.effect import Remainder
 from cassini_bayes.effects.registry import Unknown
 from cassini_bayes.spacecraft.attitude import direction_cosines
 
@@ -62,17 +63,33 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
     hypothesis, point = weighed.hypothesis, weighed.mode.point
     if not _fires(hypothesis):
         return {}
-    model = hypothesis.model
     left = left_by(weighed)
+    drift, lever = form_columns(hypothesis, point, left)
+    told = BesideMode.of(hypothesis, point, left).information(side_by_side(drift, lever))
+    count = sum(own.shape[2] for own in drift)
+    return {
+        DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
+        LEVER: _summed(told, slice(count, None), unknown.lever_m),
+    }
+
+
+def form_columns(
+    hypothesis: Hypothesis, point: Array, left: Remainder
+) -> tuple[list[Array], list[Array]]:
+    """Momentum of every event, N m s: of a drift of one, (n, 3, M), and of a metre, (n, 3, 3 K).
+
+    They are of the thrusts that the hypothesis has at its mode (d,): with half of its thrust a
+    thruster drifts, and turns the body, by half as much.
+    """
+    model = hypothesis.model
     located = model.points(point[None])
-    expected = located.mean_levels_n[0]
     names = tuple(dict.fromkeys(name for event in left.rows for name in event.thrusters))
     drift, lever = [], []
     for place, (event, term) in enumerate(zip(left.rows, model.telemetry, strict=True)):
         turn = direction_cosines(event.attitude)
         # momentum in inertial axes, by what was fired from row to row
         per_newton = np.einsum("nai,nak->nik", turn, thrust_columns(hypothesis, point, place))
-        own = expected[: per_newton.shape[2]]
+        own = expected_thrusts_n(term, located)[0]
         fired = own * np.diff(per_newton, axis=0, prepend=per_newton[:1])
         drift.append(_drift(event.time_s, turn, fired))
         if fired.shape[2] > 0:
@@ -83,12 +100,7 @@ def thruster_forms(weighed: Weighed[Hypothesis], unknown: Unknown) -> dict[str, 
         else:
             own = np.zeros((len(event.time_s), 3, 0))
         lever.append(_of_all(own, event.thrusters, names))
-    told = BesideMode.of(hypothesis, point, left).information(side_by_side(drift, lever))
-    count = sum(own.shape[2] for own in drift)
-    return {
-        DRIFT: _summed(told, slice(0, count), unknown.thrust_drift),
-        LEVER: _summed(told, slice(count, None), unknown.lever_m),
-    }
+    return drift, lever
 
 
 def _fires(hypothesis: Hypothesis) -> bool:

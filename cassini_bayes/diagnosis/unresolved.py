@@ -24,7 +24,7 @@ from cassini_bayes.balance.rounded_wheels import (
 from cassini_bayes.balance.telemetry_noise import lasting_shares
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.cut_tails import single_cuts
-from cassini_bayes.diagnosis.hypotheses import Hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, expected_thrusts_n
 from cassini_bayes.effects.effect import FittedRows
 from cassini_bayes.effects.firings import fired_intervals
 
@@ -123,7 +123,7 @@ def timed(hypothesis: Hypothesis, z: Array, place: int) -> Unknowns:
     effects = [effect for effect in hypothesis.effects if effect.kind.left_open is not None]
     parts = [(np.zeros((len(time_s), 3, 0)), np.zeros(0))]
     points = model.points(z[None])
-    physics, thrust_n = term.physics(points), points.mean_levels_n[0]
+    physics, thrust_n = term.physics(points), expected_thrusts_n(term, points)[0]
     rows = FittedRows(time_s, term.event.samples, physics)
     for members in layout.couples if effects and layout.thrusters else ():
         arms = np.broadcast_to(physics.arms_m, (1, 3, len(layout.thrusters)))[0]

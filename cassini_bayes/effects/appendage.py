@@ -25,8 +25,11 @@ SAME_S: Final = 1e-9  # two gaps between rows that differ by less are one: round
 def oscillation_series(
     time_s: Array, motion: KnownMotion, frequency_hz: float, damping: float
 ) -> tuple[Array, Array, Array]:
-    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f."""
-    phase = 2.0 * np.pi * frequency_hz * time_s
+    """exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt (n,), and the driven rate (n, c), Ω = 2π f.
+
+    t is counted from where the motion begins: events may begin long after their epoch.
+    """
+    phase = 2.0 * np.pi * frequency_hz * (time_s - motion.start_s)
     decay = np.exp(-damping * phase)
     driven = motion.driven(time_s, frequency_hz, damping)
     return decay * np.cos(phase), decay * np.sin(phase), driven
@@ -65,7 +68,8 @@ class KnownMotion:
         is left, ``left`` (n, 3), (f, 2 + c, 3).
         """
         motion = self._recursion(time_s, frequency_hz, damping)
-        lower, along = _products(time_s, (2.0 * np.pi * frequency_hz, damping), motion, left)
+        shape = 2.0 * np.pi * frequency_hz, damping
+        lower, along = _products(time_s - self.start_s, shape, motion, left)
         return lower + np.swapaxes(np.tril(lower, -1), 1, 2), along
 
     def _recursion(
@@ -104,7 +108,7 @@ def known_motion(time_s: Array, rate_rad_s: Array) -> KnownMotion:
 
 def products_of_turns(
     turns: WhiteTurns,
-    step_s: float,
+    motion: KnownMotion,
     frequency_hz: Array,
     damping: float,
     white: Array,
@@ -114,18 +118,18 @@ def products_of_turns(
 
     About directions (d) that are ``units`` (3, d) along whitened axes: with each other, (f, d, 2,
     2), and with what is left of turns, ``white`` (n, 3), (f, 2, d). With each other they count as a
-    slope and as a swing in the noise of its frequency (rows ``step_s`` apart). The answer to the
-    body's motion is not among them.
+    slope and as a swing in the noise of its frequency (of rows a step of the body's ``motion``
+    apart). Its answer to that motion is not among them.
     """
     pieces, shares = turns.pieces, turns.slope_shares
     of_slopes, whole, along = _products_of_turns(
-        (pieces.time_s, turns.ramps, pieces.ends),
+        (pieces.time_s - motion.start_s, turns.ramps, pieces.ends),
         np.column_stack([np.ones(len(shares)), shares]),
         2.0 * np.pi * frequency_hz,
         damping,
         turns.whitened_axes(white[:, :, None])[:, :, 0] @ units,
     )
-    swings = turns.swing_shares(frequency_hz, step_s)[:, :, None, None]
+    swings = turns.swing_shares(frequency_hz, motion.step_s)[:, :, None, None]
     squares = of_slopes[:, 1:] + swings * (whole[:, None] - of_slopes[:, :1])
     return np.einsum("ad,faij->fdij", units**2, squares), along
 
@@ -167,7 +171,7 @@ def _products(
     Parameters
     ----------
     time_s
-        (n,) of the rows.
+        (n,) of the rows, from where the motion begins.
     frequencies
         Ω (f,) in rad/s and the damping ζ of exp(−ζΩt) cos Ωt and exp(−ζΩt) sin Ωt.
     motion
@@ -215,7 +219,7 @@ def _products_of_turns(
     Parameters
     ----------
     rows
-        Their times and ramps (n,), bounds (p + 1,) of the pieces.
+        Their times from where the motion begins and ramps (n,), bounds (p + 1,) of the pieces.
     shares
         (p, w) by which squares of slopes are weighed, in w ways.
 

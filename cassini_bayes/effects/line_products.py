@@ -87,7 +87,7 @@ def many_lines(
         directions: Array = np.asarray(np.linalg.inv(event.noise_factor))
         if event.turns is not None:
             squares, along = products_of_turns(
-                event.turns, motion.step_s, frequencies, damping, event.white, directions
+                event.turns, motion, frequencies, damping, event.white, directions
             )
             gram[place, :, :, :2, :2] += squares
             projection[place, :, :, :2] += np.swapaxes(along, 1, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,21 @@ def test_a_torque_between_two_times_is_drafted() -> None:
     assert (best.form, best.target) == ("torque", "x")
     assert abs(best.numbers["start_s"] - 60.0) < 24.0
     assert abs(best.numbers["stop_s"] - 180.0) < 24.0
+
+
+def test_a_step_long_after_the_epoch_is_drafted_where_it_is() -> None:
+    """Rows from an hour on: times lie between the first row and the last, 12 s apart.
+
+    Laid from the epoch on, all but two of them would lie before the first row.
+    """
+    linear, rows, thrusts = flight(about(1, 2.0 * (np.arange(N) >= 120)), 1)
+    later = [replace(event, time_s=event.time_s + 3_600.0) for event in rows]
+    best = drafts_of(linear, later, np.zeros(0), thrusts, 1.0)[0]
+    plain = drafts_of(linear, rows, np.zeros(0), thrusts, 1.0)[0]
+    assert (best.form, best.target) == ("jump", "y")
+    assert best.numbers["start_s"] == pytest.approx(3_600.0 + plain.numbers["start_s"])
+    assert abs(best.numbers["start_s"] - 3_720.0) < 12.0
+    assert best.gain == pytest.approx(plain.gain)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -209,3 +209,48 @@ def test_bad_estimates_are_refused(tmp_path: Path, old: str, new: str, told: str
     with pytest.raises(InputError, match=told) as caught:
         read_estimates(path, ("z1a",))
     assert "\n" not in str(caught.value)
+
+
+HEADER = (
+    "id,thruster,thrust_n,thrust_sd_n,shared_sd,pulses,on_time_per_pulse_s,tail_corrected,source"
+)
+
+
+def table(path: Path, *rows: tuple[str, str]) -> Path:
+    """A CSV of estimates of 0.8 N with these ids and shared errors."""
+    lines = [f"{name},all,0.8,0.02,{shared},100,0.125,no,x" for name, shared in rows]
+    path.write_text("\n".join([HEADER, *lines]), encoding="utf-8")
+    return path
+
+
+def test_estimates_of_two_files_are_read_as_those_of_one(tmp_path: Path) -> None:
+    """The same case, whichever rows lie in which file."""
+    one = table(tmp_path / "one.csv", ("a", "0.02"), ("b", "0.02"))
+    first, second = (table(tmp_path / f"{name}.csv", (name, "0.02")) for name in "ab")
+    priors = TABLE_2.with_suffix(".toml")
+    whole = read_estimate_case([str(one)], priors)
+    apart = read_estimate_case([str(first), str(second)], priors)
+    assert apart.names == whole.names
+    np.testing.assert_array_equal(apart.estimate_n, whole.estimate_n)
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        (("b", "0.2"), r"e2.csv: line 2, column shared_sd.*0.02 as in .*e1.csv: line 2"),
+        (("a", "0.02"), r"e2.csv: line 2, column id.*e1.csv: line 2"),
+    ],
+)
+def test_estimates_that_do_not_go_together_are_refused(
+    tmp_path: Path, row: tuple[str, str], told: str
+) -> None:
+    """What all share differs, or one observation is there twice: both files are named.
+
+    The first file's shared error had been that of all, and the same estimate had counted twice.
+    """
+    files = table(tmp_path / "e1.csv", ("a", "0.02")), table(tmp_path / "e2.csv", row)
+    with pytest.raises(InputError, match=told):
+        read_estimate_case([str(path) for path in files], TABLE_2.with_suffix(".toml"))
+    table(tmp_path / "e1.csv", ("a", "0.02"), row)
+    with pytest.raises(InputError, match=r"e1.csv: line 3, column"):
+        read_estimate_case([str(files[0])], TABLE_2.with_suffix(".toml"))

@@ -26,6 +26,18 @@ def test_slews_alone_weigh_only_the_inertia_that_they_turn(axes: str, left_out: 
         assert f"inertia:{target}" in events.findings[0]
 
 
+@pytest.mark.parametrize("axes", ["xyz", "x"])
+def test_what_is_weighed_has_all_that_causes_have(axes: str) -> None:
+    """What these slews cannot show leaves its share to what they can, kind by kind."""
+    catalogue = prepare(turned_about(axes), priors()).catalogue
+    shares: dict[str, list[float]] = {}
+    for effect in catalogue.effects:
+        shares.setdefault(effect.kind.name, []).append(effect.prior_probability)
+    of_kind = catalogue.odds.catalogued / len(shares)
+    for own in shares.values():
+        assert own == pytest.approx([of_kind / len(own)] * len(own))
+
+
 def test_a_bias_tells_the_inertia_of_all_axes() -> None:
     """Its firings move the body about each."""
     events = prepare(turned_about("x", ("bias", "slew")), priors())

@@ -16,10 +16,13 @@ import numpy as np
 import pytest
 from event_cases import eased
 
+from cassini_bayes.balance.linearised import Linear
+from cassini_bayes.balance.part_columns import ColumnsByPart
 from cassini_bayes.balance.statistics import ExtraColumn, Samples
 from cassini_bayes.computing.arrays import Array
+from cassini_bayes.diagnosis import gain
 from cassini_bayes.diagnosis.balance_case import BalanceCase
-from cassini_bayes.diagnosis.case import Fits, Weighed
+from cassini_bayes.diagnosis.case import Beginning, Fits, Weighed
 from cassini_bayes.diagnosis.diagnosis import diagnose
 from cassini_bayes.diagnosis.events import Events, prepare
 from cassini_bayes.diagnosis.evidence import by_laplace
@@ -29,6 +32,7 @@ from cassini_bayes.diagnosis.gain import (
     held_out_totals,
     longest_first,
     predicted_rows,
+    ways_without,
 )
 from cassini_bayes.diagnosis.hypotheses import (
     Hypothesis,
@@ -43,7 +47,7 @@ from cassini_bayes.diagnosis.rows_and_turns import with_torque_noise
 from cassini_bayes.diagnosis.score import WORSE, HeldOut
 from cassini_bayes.diagnosis.stages import StageRunner
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
-from cassini_bayes.effects.effect import SearchResult
+from cassini_bayes.effects.effect import SearchResult, onsets
 from cassini_bayes.events.totals import TotalsEvent, read_totals
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.posterior import build_model, log_posterior
@@ -172,6 +176,67 @@ def test_what_a_search_took_from_an_event_is_paid_for_where_it_is_held_out() -> 
     plain, paid = (held_out_telemetry(events, w, fits) for w in (weighed, searched))
     assert plain.log_scores - paid.log_scores == pytest.approx([0.0, 3.0, 0.0])
     assert paid.rmse == plain.rmse
+
+
+def test_predictions_do_not_depend_on_the_point_about_which_rows_are_linear() -> None:
+    """One linear model about two points; control: the prior mean as seen from another's point."""
+    rng = np.random.default_rng(0)
+    columns, truth = 0.08 * rng.standard_normal((360, 2)), np.array([3.0, 0.3])
+    target = columns @ truth + rng.standard_normal(360)
+
+    def about(point: Array) -> Linear:
+        by_part = ColumnsByPart.of(columns, [180, 180])
+        return Linear(target - columns @ point, by_part, np.ones(2))
+
+    one, two = np.array([2.9, 0.2]), np.array([0.2, -1.0])
+    wanted = predicted_rows(about(one), 1, -one)[0]
+    assert predicted_rows(about(two), 1, -two)[0] == pytest.approx(wanted, abs=1e-9)
+    assert np.abs(predicted_rows(about(one), 1, -two)[0] - wanted).max() > 0.05
+
+
+def beginnings_apart(events: Events) -> Weighed[Hypothesis]:
+    """A leak that may begin with any event, each beginning with a made-up mode of its own."""
+    full, leak = none_hypothesis(events), events.catalogue.effect("thruster_leak:z3")
+    beginnings = []
+    for place, onset in enumerate((None, *onsets(events.in_order))):
+        model = extend(full, [replace(leak, onset=onset)])
+        mode = Mode(np.full(model.dimension, 0.2 * place), np.eye(model.dimension), 0.0)
+        event = "" if onset is None else onset.event
+        beginnings.append(Beginning(event, 1.0 / 3.0, Weighed(model, mode, 0.0)))
+    throughout = beginnings[0].weighed
+    assert throughout is not None
+    return replace(throughout, beginnings=tuple(beginnings))
+
+
+def test_rows_are_predicted_from_the_point_about_which_they_are_linear(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beginnings that are alike to the others have one mode: not that of another event held out.
+
+    So one beginning has linear models about several points, more than there are beginnings.
+    """
+    events = leaking({"bias-1": "z3", "bias-2": "z3", "bias-3": "z3"})
+    weighed, made, matched = beginnings_apart(events), [], []
+
+    def noted(whole: Hypothesis, centre: Array, rows: Linear, factors: list[Array]) -> Linear:
+        made.append((with_torque_noise(whole, centre, rows, factors), centre))
+        return made[-1][0]
+
+    def checked(linear: Linear, place: int, centre: Array) -> tuple[Array, Array]:
+        (own,) = (point for known, point in made if known is linear)
+        matched.append(np.array_equal(-centre, own))
+        return predicted_rows(linear, place, centre)
+
+    monkeypatch.setattr(gain, "with_torque_noise", noted)
+    monkeypatch.setattr(gain, "predicted_rows", checked)
+    fits = [tuple(way.mode for _, _, way in weighed.searched)]
+    for event in longest_first(events):
+        members = dict.fromkeys(id(way) for _, way in ways_without(events, weighed, event))
+        fits.append((weighed.mode,) * len(members))
+    held_out_telemetry(events, weighed, fits)
+    assert len(made) > len(events.telemetry)
+    assert len(matched) > len(events.telemetry)
+    assert all(matched)
 
 
 def test_score_of_a_row_is_a_difference_of_evidences() -> None:

@@ -20,9 +20,10 @@ from cassini_bayes.diagnosis.correlations import (
     innovation_tests,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis, thrust_factors
 from cassini_bayes.diagnosis.innovations import (
     SMOOTHED_ROWS,
+    effect_momentum,
     linearise,
     smoothed,
     thrust_columns,
@@ -124,6 +125,46 @@ def test_a_common_thrust_that_is_walked_moves_all_thrusts() -> None:
     levels = thrust_columns(walked, np.zeros(d), 0).sum(axis=2)
     wanted = bounded.sd() * (levels @ np.linalg.inv(factor).T).reshape(-1)
     assert column == pytest.approx(wanted, rel=1e-3, abs=1e-3 * np.abs(wanted).max())
+
+
+@cache
+def beside_a_weak_thruster(second: str) -> tuple[Hypothesis, Hypothesis, np.ndarray]:
+    """Z3 with its factor at the middle of its prior, that with a second effect; the point (d,)."""
+    catalogue = reduced(flight(leak=False), PRIORS).catalogue
+    events = case_of(leak=False).events
+    base = extend(none_hypothesis(events), [catalogue.effect("thruster_degraded:z3")])
+    return base, extend(base, [catalogue.effect(second)]), np.zeros(base.dimension)
+
+
+@pytest.mark.parametrize("second", ["center_of_mass:y", "inertia:xx"])
+def test_a_second_effect_of_no_size_adds_nothing_beside_a_thrust_factor(second: str) -> None:
+    """All that differs is the size, and that is nothing.
+
+    Control: against full thrust, as it had been counted, such columns hold what the first cause
+    takes off: 0.95 N m s.
+    """
+    base, both, z = beside_a_weak_thruster(second)
+    for added in effect_momentum(base, z, [(both, np.zeros((1, 1)))]):
+        assert not added.any()
+    located = base.model.points(z[None])
+    term = base.model.telemetry[0]
+    lost = located.mean_levels_n[0] * (thrust_factors(term, located)[0] - 1.0)
+    assert np.abs(thrust_columns(base, z, 0) @ lost).max() > 0.9
+
+
+@pytest.mark.parametrize("second", ["thruster_leak:y1", "pulse_shape", "thruster_degraded:z4"])
+def test_what_a_second_effect_adds_is_the_difference_of_two_models(second: str) -> None:
+    """Beside a thrust factor, against the rows of both models about the same point."""
+    base, both, z = beside_a_weak_thruster(second)
+    added = effect_momentum(base, z, [(both, np.ones((1, 1)))])
+    shown = []
+    for hypothesis, point in ((base, z), (both, np.r_[z, 1.0])):
+        linear, factors = linearise(hypothesis, point)
+        rows = zip(linear.parts, factors, strict=True)
+        shown.append([linear.target[own].reshape(-1, 3) @ factor.T for own, factor in rows])
+    for own, without, with_it in zip(added, *shown, strict=True):
+        assert own[:, :, 0] == pytest.approx(without - with_it, abs=1e-9 * np.abs(without).max())
+    assert np.abs(added[0]).max() > 0.01
 
 
 def test_correlations_are_standard_normal_if_the_model_is_true() -> None:

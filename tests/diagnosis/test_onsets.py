@@ -27,15 +27,17 @@ from cassini_bayes.diagnosis.onsets import (
     LEAST_GAIN,
     SIZES,
     Beginnings,
+    _with_totals,
     information_from_each,
     log_bayes,
+    sizes_tried,
     without_event,
 )
 from cassini_bayes.diagnosis.verdict import Verdict, weigh
 from cassini_bayes.effects.effect import Effect, onsets
 from cassini_bayes.effects.registry import Odds, standard
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.posterior import log_posterior
+from cassini_bayes.model.posterior import log_likelihood, log_posterior
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
 from cassini_bayes.simulation import scenario_of
@@ -176,6 +178,35 @@ def test_summed_evidence_of_totals_rows_is_that_of_importance_sampling() -> None
     found = verdict_of(only).named("tail_off")
     assert found.net_evidence == pytest.approx(wanted, abs=0.15)
     assert sum(probabilities(found).values()) == pytest.approx(1.0)
+
+
+def test_levels_of_totals_rows_vary_as_the_first_cause_scales_them() -> None:
+    """Beside factors of 0.66 and 1.35 on all thrusts rows change as the model's likelihood does.
+
+    But for 0.4 nats of the controller's response. Control: with levels as wide as without a factor
+    17 nats are between them.
+    """
+    rows = tuple(replace(row, delta_v_m_s=None) for row in three())
+    events = prepare((), TOTALS_PRIORS, rows)
+    thrust, tail = (events.catalogue.effect(name) for name in ("thrust_scale", "tail_off"))
+    base = extend(none_hypothesis(events), [thrust])
+    extended = [(extend(base, [tail]), sizes_tried(tail))]
+    d = base.dimension
+    points = np.stack([np.r_[np.zeros(d - 1), size] for size in (-1.0, 1.0)])
+    factors = thrust.values(base.model.points(points).parameters)["thrust_factor"]
+    rank = base.model.thrust_prior.shared.shape[1]
+
+    def density(z: Array, wider: float = 1.0) -> float:
+        linear, _ = _with_totals(base, z, extended, None)
+        columns = linear.columns.written_out()[:, d:].copy()
+        columns[:, :rank] *= wider
+        covariance = np.eye(len(columns)) + columns @ columns.T
+        return float(multivariate_normal(cov=covariance).logpdf(linear.target))
+
+    wanted = np.diff(log_likelihood(base.model, points))[0]
+    assert density(points[1]) - density(points[0]) == pytest.approx(wanted, abs=0.5)
+    unscaled = [density(z, 1.0 / factor) for z, factor in zip(points, factors, strict=True)]
+    assert abs(unscaled[1] - unscaled[0] - wanted) > 10.0
 
 
 def test_linear_gains_are_those_of_the_dense_normal() -> None:

@@ -18,6 +18,7 @@ import pytest
 from cassini_bayes.balance.statistics import counter_reduction
 from cassini_bayes.balance.statistics.long_levels import NO_LEVELS
 from cassini_bayes.computing.log import silent
+from cassini_bayes.diagnosis import second_reckoning
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.case import Weighed
 from cassini_bayes.diagnosis.events import Events
@@ -40,6 +41,7 @@ from cassini_bayes.diagnosis.second_reckoning import (
     named_in_columns,
     reckoned_again,
     unknown_again,
+    with_lesser_gain,
 )
 from cassini_bayes.diagnosis.thruster_forms import (
     LEVER,
@@ -238,6 +240,39 @@ def test_what_few_roundings_make_up_is_no_torque_that_wanders() -> None:
     after = unknown_again(unknown, none, BELIEVED)
     assert -3.0 < after.net_evidence - none.net_evidence < 3.0
     assert reckoned_again([none, unknown], BELIEVED)[1].net_evidence == after.net_evidence
+
+
+@pytest.mark.parametrize("drawn", [26.0, 14.0, 8.0])
+def test_unknown_has_the_lesser_of_both_gains_whatever_draws_say(drawn: float) -> None:
+    """Laplace 20 nats, by columns 10: after draws 10, 10 and 8 are left.
+
+    With what Laplace's evidence had withheld, 16, 4 and −2 had been.
+    """
+    _, none, unknown = wandering(0.0)
+    first = replace(unknown, log_evidence=none.net_evidence + 20.0)
+    before = with_lesser_gain(first, none, 10.0)
+    assert before.net_evidence - none.net_evidence == pytest.approx(10.0)
+    sampled = replace(before, log_evidence=none.net_evidence + drawn)
+    after = with_lesser_gain(sampled, none, 10.0)
+    assert after.net_evidence - none.net_evidence == pytest.approx(min(drawn, 10.0))
+
+
+def test_a_diagnosis_reckons_unknown_with_the_evidence_of_its_draws(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Columns that tell half as much as the likelihood have the last word, draws or not.
+
+    Control: evidence by draws is not Laplace's, by which the gain would be off.
+    """
+    events, none, unknown = wandering(3e-3)
+    by_laplace = unknown.log_evidence - none.log_evidence
+    monkeypatch.setattr(second_reckoning, "gain_by_wander", lambda *_: 0.5 * by_laplace)
+    case = BalanceCase(replace(events, catalogue=replace(events.catalogue, effects=())))
+    base, told = case.weigh(np.random.default_rng(1), silent)
+    alone = told.without_forms
+    assert np.isfinite(alone.pareto_k)
+    assert abs(alone.log_evidence - base.log_evidence - by_laplace) > 0.01
+    assert alone.net_evidence - base.net_evidence == pytest.approx(0.5 * by_laplace, abs=1e-3)
 
 
 def test_a_torque_that_wanders_keeps_what_it_gains() -> None:

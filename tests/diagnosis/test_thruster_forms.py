@@ -20,12 +20,14 @@ from cassini_bayes.diagnosis.hypotheses import (
     none_hypothesis,
     unknown_hypothesis,
 )
+from cassini_bayes.diagnosis.innovations import left_by
 from cassini_bayes.diagnosis.modes import Mode, highest_mode
 from cassini_bayes.diagnosis.search import search_from_starts
 from cassini_bayes.diagnosis.thruster_forms import (
     DRIFT,
     LEVER,
     TORQUE,
+    form_columns,
     thruster_forms,
     with_forms,
     with_thruster_forms,
@@ -89,6 +91,23 @@ def test_beside_the_right_cause_there_is_no_form() -> None:
     mode = search_from_starts(cause, none.mode).mode
     beside = thruster_forms(Weighed(cause, mode, mode.log_evidence), events.catalogue.unknown)
     assert max(beside.values()) < 1.0
+
+
+def test_forms_are_of_the_thrusts_of_the_cause_that_they_stand_beside() -> None:
+    """Z2 at 87 % of its thrust: its lever turns the body by as much, those of others as before."""
+    events, none = flown("degraded")
+    effect = events.catalogue.effect("thruster_degraded:z2")
+    cause = compact(extend(none_hypothesis(events), [effect]))
+    at = np.r_[none.mode.point, 0.0]
+    drift, (lever,) = form_columns(none.hypothesis, none.mode.point, left_by(none))
+    (weak,) = effect.values(cause.model.points(at[None]).parameters).values()
+    own_drift, (own_lever,) = form_columns(cause, at, left_by(none))
+    ratio = np.linalg.norm(own_lever, axis=(0, 1)) / np.linalg.norm(lever, axis=(0, 1))
+    thrusters = left_by(none).rows[0].thrusters
+    wanted = np.where(np.array(thrusters) == "z2", weak[0], 1.0)
+    assert weak[0] < 0.9
+    assert ratio.reshape(-1, 3) == pytest.approx(np.tile(wanted[:, None], 3))
+    assert not np.allclose(own_drift[0], drift[0])
 
 
 def test_events_without_thrusters_have_no_forms() -> None:

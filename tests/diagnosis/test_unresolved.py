@@ -10,11 +10,11 @@ from event_cases import document, priors
 
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis import unresolved
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, none_hypothesis
+from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis
 from cassini_bayes.diagnosis.innovations import innovations
 from cassini_bayes.diagnosis.modes import find_mode
 from cassini_bayes.diagnosis.p_value import p_value
-from cassini_bayes.diagnosis.unresolved import LEAST_REST, rounding_lines, roundings
+from cassini_bayes.diagnosis.unresolved import LEAST_REST, rounding_lines, roundings, timed
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 from cassini_bayes.studies.blind.flights import reduced
@@ -139,3 +139,21 @@ def test_wheel_noise_is_told_where_wheels_are_driven_evenly() -> None:
         for none, point in map(driven_evenly, range(4))
     ]
     assert np.mean(found) == pytest.approx(0.1, rel=0.2)
+
+
+def test_moments_of_weak_thrusters_leave_less_open() -> None:
+    """A late record of all thrusts at a share of their level leaves that share of momentum open."""
+    content = document()
+    content["event"] = content["event"][:1]
+    events = reduced(simulate_file(scenario_of(content), 1, priors=priors()), priors())
+    full, catalogue = none_hypothesis(events), events.catalogue
+    late = extend(full, [catalogue.effect("time_offset")])
+    weak = extend(full, [catalogue.effect(name) for name in ("thrust_scale", "time_offset")])
+    columns, variance = timed(late, np.r_[np.zeros(full.dimension), 1.0], 0)
+    at = np.r_[np.zeros(full.dimension), -1.0, 1.0]
+    own, same = timed(weak, at, 0)
+    (factor,) = weak.effects[0].values(weak.model.points(at[None]).parameters).values()
+    assert factor[0] < 0.9
+    assert np.abs(columns).max() > 0.0
+    assert own == pytest.approx(factor[0] * columns)
+    assert same == pytest.approx(variance)

@@ -67,3 +67,18 @@ def test_a_swing_is_integrated_as_it_swings(hertz: float) -> None:
     exact = pieces.centred(np.sin(omega * time_s)[:, None] / omega)[:, 0]
     assert cosine.over_trapezoids * by_rows == pytest.approx(exact, abs=1e-9 / omega)
     assert cosine.over_trapezoids > 1.04
+
+
+def test_columns_of_an_event_do_not_depend_on_its_epoch() -> None:
+    """An hour later they are the same, slopes as well: damping counts from the first row."""
+    rate = np.random.default_rng(1).standard_normal((100, 3))
+    line = Oscillation(0.05, 0.003, (0.0, 1.0, 0.0), span_s=400.0)
+    each = []
+    for start_s in (0.0, 3_600.0):
+        time_s = start_s + np.arange(0.0, 400.0, 4.0)
+        context = RowContext(time_s, rate, rate, time_s, *[np.zeros((len(time_s), 0))] * 2)
+        columns = line.columns(samples_of(time_s, rate))
+        each.append(np.stack([column.values(context) for column in columns]))
+    first, later = each
+    assert later == pytest.approx(first, abs=1e-7 * np.abs(first).max())
+    assert first[0, 0] == 1.0
