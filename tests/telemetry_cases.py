@@ -849,7 +849,7 @@ def _unknowns(
         cut = lost * counts[:, couple][:, None] * arms[:, k]
         columns[:, k] = (np.array(rows.impulses)[:, :, k] - cut).reshape(-1)
     for g, members in enumerate(couples):
-        step = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
+        step = arms[:, list(members)] @ plain_thrusts(term, tau)[list(members)]
         if counts[-1, g] > 0.0:
             own.append((0.5 * lost * counts[:, g][:, None] * step).reshape(-1))
         sampling = term.event.sampling
@@ -862,7 +862,7 @@ def _unknowns(
                 scatter = np.sqrt(sum(one.variance(*each) for one in steps))
                 own.append((scatter * cut[:, None] * step).reshape(-1))
     for g, members in enumerate(couples):
-        step = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
+        step = arms[:, list(members)] @ plain_thrusts(term, tau)[list(members)]
         sampling, times = term.event.sampling, np.array(rows.times)
         if all(own != g for _, own in rows.shots):
             continue
@@ -875,6 +875,16 @@ def _unknowns(
         levels = np.sqrt(open_.of_columns(term)) * gained[0] / gained[1] * levels[:, long]
         own += [(column[:, None] * step).reshape(-1) for column in levels.T]
     return own, columns, mean
+
+
+def plain_thrusts(term: TelemetryTerm, tau: tuple[float, ...]) -> Array:
+    """The event's thrusts, told at the reference, where pulses deliver more, or less."""
+    sampling = term.event.sampling
+    delivered = [
+        np.mean([width + plain_tail(width, *at[1:]) for width in sampling.paired_s])
+        for at in (sampling.pulse_reference_s, tau)
+    ]
+    return np.asarray(term.balance.thrusts_n * delivered[0] / delivered[1])
 
 
 def plain_lost(
@@ -908,7 +918,7 @@ def plain_open(
     sampling = term.event.sampling
     _, scattered = plain_lost(term, tau, open_)
     for g, members in enumerate(sampling.couples):
-        arm = arms[:, list(members)] @ term.balance.thrusts_n[list(members)]
+        arm = arms[:, list(members)] @ plain_thrusts(term, tau)[list(members)]
         square = 0.0
         each = (scattered**2, plain_pulses(sampling, tau), open_.of_columns(term))
         for part in range(PARTS):

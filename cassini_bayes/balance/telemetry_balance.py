@@ -253,9 +253,10 @@ class TelemetryBalance:
     is a constant of unit length on the slow modes; ``log_unit``, ``log_size`` (log |det I| at
     the prior means), ``nominally_open``, what counters leave open there, ``reference``, channels at
     the reference noise (n = 1), and ``answered`` belong to the measure of flat motion, which sets
-    them (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are
-    the event's thrusts to some percent: they size what counters leave open, and place the slow
-    modes. ``late`` and ``answered`` are of rows that have late pulses.
+    them (:mod:`cassini_bayes.balance.flat_motion`). ``thrusts_n`` (K,) are the event's thrusts to
+    some percent, where its pulses deliver ``told_by_s`` each, s, on average: they size what
+    counters leave open, and place the slow modes. ``late`` and ``answered`` are of rows that have
+    late pulses.
     """
 
     statistics: EventStatistics
@@ -272,6 +273,7 @@ class TelemetryBalance:
     reduced: Reduced
     constant: Array
     thrusts_n: Array
+    told_by_s: float
     late: LatePulses | None
     log_unit: float = 0.0
     log_size: float = 0.0
@@ -440,6 +442,7 @@ def make_balance(
         ),
         constant=constant / np.linalg.norm(constant),
         thrusts_n=np.full(pattern.thrusters, thrust_n),
+        told_by_s=float(sampling.mean_pulse_s(sampling.pulse_reference_s)),
         late=_late(statistics, sampling),
     )
 

@@ -21,6 +21,7 @@ from cassini_bayes.balance.telemetry_balance import ChannelVariances, OpenCounte
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
+LEAST_PULSE: Final = 0.1  # of what pulses deliver where the event's thrusts were told
 LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
 
 
@@ -251,10 +252,23 @@ def mean_offset(physics: Physics, n: int) -> Array:
     return np.asarray(of_all.mean(axis=1))
 
 
+def own_thrusts_n(event: TelemetryBalance, physics: Physics) -> Array:
+    """The event's own thrusts (n, K), N, at n points: by what its pulses deliver there.
+
+    Telemetry tells momentum, F g with g the effective time of pulses: at time constants for which
+    they deliver half as much the same telemetry tells twice the thrust.
+    """
+    n = len(physics.inertia_kg_m2)
+    pulse_s = event.sampling.mean_pulse_s(physics.tau_s, mean_offset(physics, n))
+    least_s = LEAST_PULSE * event.told_by_s  # of pulses of which next to nothing would be left
+    more = event.told_by_s / np.maximum(np.broadcast_to(pulse_s, (n,)), least_s)
+    return np.asarray(more[:, None] * event.thrusts_n)
+
+
 def couple_torques(event: TelemetryBalance, physics: Physics) -> Array:
     """Torques (n, 3, G) of all couples, N m, by the event's own thrusts."""
     shape = (len(physics.inertia_kg_m2), 3, event.pattern.thrusters)
-    each = np.broadcast_to(physics.arms_m, shape) * event.thrusts_n
+    each = np.broadcast_to(physics.arms_m, shape) * own_thrusts_n(event, physics)[:, None]
     together = [each[..., list(own)].sum(-1) for own in event.statistics.layout.couples]
     return np.stack(together, axis=-1)
 

@@ -358,9 +358,9 @@ def _nominal(model: Model) -> Points:
 
 
 def _with_thrusts(model: Model, thrusts_n: Array, nominal: Points, likely: Points) -> Model:
-    """The model whose telemetry has these thrusts (E', K), at the prior means (n = 1).
+    """The model whose telemetry has these thrusts (E', K), told at what is ``likely`` (n = 1).
 
-    Where rows have late pulses they are taken at what is ``likely`` (n = 1).
+    All else is at the prior means (n = 1), where rows have late pulses at what is likely.
     """
     places = model.fired_of_term[len(model.totals) :]
     terms = [

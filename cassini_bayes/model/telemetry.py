@@ -50,6 +50,7 @@ from cassini_bayes.balance.telemetry_balance import (
     merged_bands,
 )
 from cassini_bayes.balance.telemetry_information import row_information
+from cassini_bayes.balance.telemetry_noise import mean_offset
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
 from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
@@ -173,11 +174,16 @@ class TelemetryTerm:
         return replace(self, balance=balance)
 
     def with_thrusts(self, thrusts_n: Array, nominal: Points, likely: Points) -> TelemetryTerm:
-        """The same with the event's thrusts (K,) to some percent, at the prior means (n = 1).
+        """The same with the event's thrusts (K,) to some percent, told at what is ``likely``.
 
-        Where rows have late pulses it is at what is ``likely`` (n = 1), its noise of rates, too.
+        All else is at the prior means (n = 1). Where rows have late pulses it is at what is likely
+        (n = 1), its noise of rates, too.
         """
-        balance = replace(self.balance, thrusts_n=thrusts_n)
+        told = self.physics(likely)
+        told_by_s = self.balance.sampling.mean_pulse_s(told.tau_s, mean_offset(told, 1))
+        balance = replace(
+            self.balance, thrusts_n=thrusts_n, told_by_s=float(np.reshape(told_by_s, 1)[0])
+        )
         if balance.late is None:
             physics, parameters = self.physics(nominal), nominal.parameters
             return replace(self, balance=in_channel_units(balance, physics, parameters))

@@ -133,6 +133,15 @@ class Sampling:
         """
         return np.asarray(self.pulse_shape.tail_s(*tau_s) * self._reached(tau_s, offset_s) ** 2)
 
+    def mean_pulse_s(
+        self, tau_s: tuple[ArrayLike, ArrayLike, ArrayLike], offset_s: ArrayLike = 0.0
+    ) -> Array:
+        """Mean effective time, s, of the event's pulses; parameters as of :meth:`cut_tail_s`."""
+        delay, rise, fall = (np.asarray(value)[..., None] for value in tau_s)
+        offset = np.asarray(offset_s)[..., None]
+        each = self.pulse_shape.longer_time(self.paired_s, offset, delay, rise, fall)
+        return np.asarray(each.mean(axis=-1))
+
     def cut_by_width(self, width_s: Array) -> Array:
         """What pairs of these widths (…) lose over those of the event's, at the reference: ρ²/ρ̄².
 
