@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 from event_cases import eased
 
+from cassini_bayes.balance.physics import Physics
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.correlations import innovation_tests
 from cassini_bayes.diagnosis.events import Events
@@ -245,17 +248,32 @@ def test_rounded_counters_of_stronger_thrusters_leave_more_momentum_open() -> No
     assert gained[1] - gained[0] < 3.0
 
 
+def size_noise_at_the_prior_means(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let noise of counters be that of thrusts told at the prior means, whatever tails are."""
+
+    def told(event: TelemetryBalance, physics: Physics) -> Array:
+        return np.tile(event.thrusts_n, (len(physics.inertia_kg_m2), 1))
+
+    for module in ("telemetry_noise", "telemetry_weights"):
+        monkeypatch.setattr(f"cassini_bayes.balance.{module}.own_thrusts_n", told)
+
+
 def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.MonkeyPatch) -> None:
     """A bias with 12 rows between firings: from the centre the tail-off ends seven times too long.
 
     What is wrong then has 80 nats and more for `pulse_shape` and `unknown`, with nothing hidden.
-    (It has 55 rows where rows with late pulses are used: here they are not.)
+    (It has 55 rows where rows with late pulses are used: here they are not.) That is so where noise
+    is sized by thrusts of the tails that the prior expects; sized by those of each point there is
+    one mode.
     """
     monkeypatch.setattr("cassini_bayes.balance.statistics.preparation.LEAST_QUIET", 0.0)
     campaign = Blind(SCENARIO, ROOT / "priors", 20262401, (), OVER_CONDITIONS, over_conditions=True)
     events = campaign.scene(campaign.stream(1013)).fly(())
     assert events.telemetry[0].statistics.rows < 20
     alone = compact(none_hypothesis(events))
+    of_one = find_mode(alone.log_density, alone.dimension)
+    assert highest_mode(alone.log_density, alone.model.starts).value - of_one.value < 1.0
+    size_noise_at_the_prior_means(monkeypatch)
     from_centre = find_mode(alone.log_density, alone.dimension)
     verdict = verdict_of(events)
     assert verdict.none.mode.log_evidence > from_centre.log_evidence + 50.0
@@ -269,12 +287,16 @@ def test_a_baseline_with_two_modes_is_searched_from_both(monkeypatch: pytest.Mon
         pytest.param((20263303, 1329), "wheel_noise_rpm", id="noisy wheels in slews"),
     ],
 )
-def test_searches_begin_where_the_other_mode_is(trial: tuple[int, int], key: str) -> None:
+def test_searches_begin_where_the_other_mode_is(
+    trial: tuple[int, int], key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing is hidden: from the centre of the prior alone a search ends 50 nats too low.
 
     Wheel noise of 1.1 rpm is found at 0.06 rpm; `tail_off` had all these nats, even where nothing
-    fires; and a fit began there. Tails of 12 ms are found at 60 ms, 240 nats too low.
+    fires; and a fit began there. Tails of 12 ms are found at 60 ms, 240 nats too low, with noise
+    sized as there.
     """
+    size_noise_at_the_prior_means(monkeypatch)
     seed, index = trial
     campaign = Blind(SCENARIO, ROOT / "priors", seed, (), OVER_CONDITIONS, over_conditions=True)
     scene = campaign.scene(campaign.stream(index))

@@ -21,7 +21,7 @@ from cassini_bayes.studies.blind.strata import OVER_CONDITIONS
 from cassini_bayes.studies.conditions import Condition
 
 ROOT = Path(__file__).parents[2]
-FREE = np.linspace(-2.0, 2.0, 9)  # standard normals, of what controllers do: it has no truth
+FREE = np.linspace(-3.0, 3.0, 13)  # standard normals, of what controllers do: it has no truth
 SHORT_PULSES = Condition(
     craft="B branch",
     events="one bias",
