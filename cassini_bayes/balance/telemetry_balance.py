@@ -109,7 +109,7 @@ class Pattern:
     fired: Places  # (3 C K,) of C pulse columns
     lost: Places  # (L,) tails that are cut on average
     lost_by: Places  # (L,) the thruster
-    members: Array  # (S + L, K) ones where a thruster is of the couple that hides something
+    hiding: Places  # (S + L,) the couple that hides something
     brought: tuple[tuple[int, int, str], ...]  # columns of effects: entry, thruster, name
     wheels: Places  # (W,)
     turns: Places  # (3,) turns of the attitude
@@ -117,7 +117,7 @@ class Pattern:
     @property
     def hidden(self) -> int:
         """Unknowns that counters hide, S + L: cut tails and unlike pulses, long roundings."""
-        return len(self.members)
+        return len(self.hiding)
 
     def level_units(self, pulse_weights: Array) -> Array:
         """What pulses gain (n, L) per on-time of a long rounding, of weights (n, C) of columns."""
@@ -515,9 +515,6 @@ def _pattern(statistics: EventStatistics) -> Pattern:
     start = np.cumsum([0, *map(len, entries)]).astype(np.int64)
     thrusters = len(layout.thrusters)
     hiding = [*(place // CUT_COLUMNS for place in cuts), *layout.levels]
-    members = np.zeros((len(hiding), thrusters))
-    for i, g in enumerate(hiding):
-        members[i, list(layout.couples[g])] = 1.0
     places = np.array(lost, dtype=np.int64).reshape(-1, 2)
     pairs, unlike = _of_cut_columns(statistics, cuts)
     return Pattern(
@@ -531,7 +528,7 @@ def _pattern(statistics: EventStatistics) -> Pattern:
         fired=(start[:thrusters, None] + np.arange(per_thruster)).ravel(),
         lost=places[:, 0],
         lost_by=places[:, 1],
-        members=members,
+        hiding=np.array(hiding, dtype=np.int64),
         brought=tuple(brought),
         wheels=start[-2] + 4 + np.arange(len(layout.wheels)),
         turns=start[-2] + 4 + len(layout.wheels) + np.arange(3),

@@ -252,16 +252,21 @@ def mean_offset(physics: Physics, n: int) -> Array:
     return np.asarray(of_all.mean(axis=1))
 
 
+def mean_pulse_s(event: TelemetryBalance, physics: Physics) -> Array:
+    """Mean effective time (n,), s, of the event's pulses at n points."""
+    n = len(physics.inertia_kg_m2)
+    found = event.sampling.mean_pulse_s(physics.tau_s, mean_offset(physics, n))
+    return np.broadcast_to(found, (n,))
+
+
 def own_thrusts_n(event: TelemetryBalance, physics: Physics) -> Array:
     """The event's own thrusts (n, K), N, at n points: by what its pulses deliver there.
 
     Telemetry tells momentum, F g with g the effective time of pulses: at time constants for which
     they deliver half as much the same telemetry tells twice the thrust.
     """
-    n = len(physics.inertia_kg_m2)
-    pulse_s = event.sampling.mean_pulse_s(physics.tau_s, mean_offset(physics, n))
     least_s = LEAST_PULSE * event.told_by_s  # of pulses of which next to nothing would be left
-    more = event.told_by_s / np.maximum(np.broadcast_to(pulse_s, (n,)), least_s)
+    more = event.told_by_s / np.maximum(mean_pulse_s(event, physics), least_s)
     return np.asarray(more[:, None] * event.thrusts_n)
 
 

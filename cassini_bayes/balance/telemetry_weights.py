@@ -18,7 +18,7 @@ from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.layout import CUT_COLUMNS
 from cassini_bayes.balance.statistics.walk import walk_scales
 from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, Reduced, TelemetryBalance
-from cassini_bayes.balance.telemetry_noise import open_scales, own_thrusts_n
+from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 
 SHARE_SPREAD: Final = 0.5  # relative sd of a couple's share of close pulses about that of all
@@ -147,7 +147,7 @@ def _unknown_weights(event: TelemetryBalance, physics: Physics, scales: OpenScal
             if name in physics.extra:
                 on_time = np.asarray(physics.extra[name])
                 weights[:, entry] = on_time[:, None] * arm[:, thruster]
-        couples = (pattern.members * own_thrusts_n(event, physics)[:, None]) @ arm
+        couples = np.swapaxes(scales.torque_n_m[:, :, pattern.hiding], -1, -2)
         unit = hidden_unit_s(event, scales)
         weights[:, tails : tails + pattern.hidden] = unit[..., None] * couples
     return weights

@@ -301,10 +301,12 @@ class Estimates:
     def hypotheses(self, kinds: Kinds, width: float = 1.0) -> list[EstimateHypothesis]:
         """``none``, ``unknown`` and what may be wrong with such estimates."""
         unknown = replace(self, event_sd=kinds.unknown.estimate_sd)
+        doubted = self.doubted(kinds, width)
+        shares = kinds.odds.of_causes([name.partition(":")[0] for name in doubted])
         return [
             self.hypothesis(NONE, kinds.odds.none),
             unknown.hypothesis(UNKNOWN, kinds.odds.unknown),
-            *self._shared_out(self.doubted(kinds, width), kinds.odds.catalogued),
+            *(doubted[n].hypothesis(n, p) for n, p in zip(doubted, shares, strict=True)),
         ]
 
     def pairs(self, kinds: Kinds, first: str) -> list[EstimateHypothesis]:
@@ -315,18 +317,6 @@ class Estimates:
             h.hypothesis(f"{first}+{second}", alone[first] * alone[second])
             for second, h in both.items()
             if second in alone and second != first
-        ]
-
-    @staticmethod
-    def _shared_out(
-        causes: Mapping[str, Estimates], probability: float
-    ) -> list[EstimateHypothesis]:
-        """Prior probability shared by kinds, a kind's by its targets."""
-        kinds = [name.partition(":")[0] for name in causes]
-        share = probability / len(set(kinds))
-        return [
-            estimates.hypothesis(name, share / kinds.count(kind))
-            for kind, (name, estimates) in zip(kinds, causes.items(), strict=True)
         ]
 
 

@@ -113,17 +113,8 @@ def prepare(
             for event in telemetry
         ),
         tuple(rows),
-        replace(catalogue, effects=shared_out(told, catalogue.odds.catalogued)),
+        catalogue.of_these(told),
         (_not_weighed(left_out),) if left_out else (),
-    )
-
-
-def shared_out(effects: Sequence[Effect], probability: float) -> tuple[Effect, ...]:
-    """Effects with a prior probability shared by their kinds, a kind's by its targets."""
-    kinds = [effect.kind.name for effect in effects]
-    return tuple(
-        replace(effect, prior_probability=probability / len(set(kinds)) / kinds.count(kind))
-        for kind, effect in zip(kinds, effects, strict=True)
     )
 
 

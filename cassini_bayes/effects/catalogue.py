@@ -34,6 +34,12 @@ class Catalogue:
         """What ``unknown`` believes of the discrepancy."""
         return self.kinds.unknown
 
+    def of_these(self, effects: Sequence[Effect]) -> Catalogue:
+        """The catalogue of some effects alone, which have all that causes have of the odds."""
+        shares = self.odds.of_causes([effect.kind.name for effect in effects])
+        each = zip(effects, shares, strict=True)
+        return replace(self, effects=tuple(replace(e, prior_probability=p) for e, p in each))
+
     def effect(self, name: str) -> Effect:
         """The effect of a name.
 
@@ -74,18 +80,13 @@ def read_catalogue(
         A table that does not fit its effect: file and dotted key are named.
     """
     known = standard() if kinds is None else kinds
-    by_kind: dict[str, list[Effect]] = {}
-    for kind, table in known.kinds:
-        if set(table.inputs) & set(inputs):
-            each = [_effect(kind, table, t, priors) for t in _targets(table, priors, wheels)]
-            by_kind[kind.name] = [effect for effect in each if effect is not None]
-    shown = [effects for effects in by_kind.values() if effects]
-    effects = (
-        replace(effect, prior_probability=known.odds.catalogued / len(shown) / len(same_kind))
-        for same_kind in shown
-        for effect in same_kind
-    )
-    return Catalogue(tuple(effects), known)
+    effects = [
+        _effect(kind, table, target, priors)
+        for kind, table in known.kinds
+        if set(table.inputs) & set(inputs)
+        for target in _targets(table, priors, wheels)
+    ]
+    return Catalogue((), known).of_these([effect for effect in effects if effect is not None])
 
 
 def named_effects(

@@ -77,6 +77,11 @@ class Odds:
     unknown: float
     throughout: float = 1.0
 
+    def of_causes(self, kinds: Sequence[str]) -> list[float]:
+        """Probability of every cause, of these kinds: kinds share alike, and a kind's targets."""
+        of_kind = self.catalogued / len(set(kinds)) if kinds else 0.0
+        return [of_kind / kinds.count(kind) for kind in kinds]
+
     def of_onsets(self, events: int) -> tuple[float, ...]:
         """Probabilities that a cause acts from the first, second, … of some events on."""
         if events < 2:

@@ -50,7 +50,7 @@ from cassini_bayes.balance.telemetry_balance import (
     merged_bands,
 )
 from cassini_bayes.balance.telemetry_information import row_information
-from cassini_bayes.balance.telemetry_noise import mean_offset
+from cassini_bayes.balance.telemetry_noise import mean_pulse_s
 from cassini_bayes.balance.telemetry_system import EventSystem, event_system
 from cassini_bayes.balance.telemetry_weights import without_idle_columns
 from cassini_bayes.computing.arrays import Array
@@ -180,17 +180,14 @@ class TelemetryTerm:
         (n = 1), its noise of rates, too.
         """
         told = self.physics(likely)
-        told_by_s = self.balance.sampling.mean_pulse_s(told.tau_s, mean_offset(told, 1))
-        balance = replace(
-            self.balance, thrusts_n=thrusts_n, told_by_s=float(np.reshape(told_by_s, 1)[0])
-        )
+        told_by_s = float(mean_pulse_s(self.balance, told)[0])
+        balance = replace(self.balance, thrusts_n=thrusts_n, told_by_s=told_by_s)
         if balance.late is None:
             physics, parameters = self.physics(nominal), nominal.parameters
             return replace(self, balance=in_channel_units(balance, physics, parameters))
-        physics, parameters = self.physics(likely), likely.parameters
-        balance = in_channel_units(with_likely_noise(balance, parameters), physics, parameters)
-        delivered = self.delivered(physics, 1)
-        return replace(self, balance=in_thrust_units(balance, physics, delivered))
+        parameters = likely.parameters
+        balance = in_channel_units(with_likely_noise(balance, parameters), told, parameters)
+        return replace(self, balance=in_thrust_units(balance, told, self.delivered(told, 1)))
 
     def delivered(self, physics: Physics, n: int) -> Array:
         """Momentum (n, 3, K) that every thruster delivers per newton, N m s/N.
