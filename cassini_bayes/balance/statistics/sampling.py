@@ -106,10 +106,15 @@ class Sampling:
     block_rows: float = 0.0
     levels: LongLevels = field(default=NO_LEVELS, compare=False)
 
+    @property
+    def close_gaps_s(self) -> Array:
+        """Times (m,) after which close pulses follow, all as likely."""
+        return np.array(self.gaps_s or (self.control_cycle_s,))
+
     @cached_property
     def pair_s2(self) -> float:
         """Variance of what a pair of pulses loses, at the reference and the usual share, s²."""
-        gaps = np.array(self.gaps_s or (self.control_cycle_s,))
+        gaps = self.close_gaps_s
         cut, fall = self.cut_tail_s(self.pulse_reference_s), self.pulse_reference_s[2]
         given = (np.array([value]) for value in (cut, fall, USUAL_SHARE))
         lost = lost_tails(gaps, self.control_cycle_s, *given)
