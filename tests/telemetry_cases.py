@@ -837,7 +837,7 @@ def _unknowns(
     """Columns of unit-variance unknowns and of thrusts (3 n, K); mean (n, 3) of the former."""
     n, thrusters = len(rows.times), arms.shape[1]
     start = np.array(rows.bodies) @ _first_body(samples).T
-    own = [10.0 * start[:, :, axis].reshape(-1) for axis in range(3)]
+    own = [term.balance.initial_sd_n_m_s * start[:, :, axis].reshape(-1) for axis in range(3)]
     own += [
         sd * np.array(rows.torques)[:, :, axis].reshape(-1)
         for axis, sd in enumerate(model.torque_sd_n_m)

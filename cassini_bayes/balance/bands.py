@@ -56,7 +56,8 @@ class Band:
     ``walk`` (R,) or (1,) are the variances of a unit random walk's modes, s, and ``faster`` what
     the noise has of them: in the slow bands all but the walk's mean and its slowest cosines, which
     are unknowns. ``motion`` is None where wheels move by any amount. ``left_open`` are mean squares
-    of what counters leave open, and ``wheels`` those of the noise of wheel rates.
+    of what counters leave open, and ``wheels`` those of the noise of wheel rates. One that stands
+    for several bands has them in ``parts``.
     """
 
     rows: int
@@ -65,6 +66,7 @@ class Band:
     motion: CubicSpline | None  # of :func:`motion_table`
     left_open: OpenSquares
     wheels: WheelSquares
+    parts: tuple[Band, ...] = ()
 
     @property
     def table(self) -> tuple[Array, Array]:

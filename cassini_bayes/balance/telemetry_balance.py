@@ -41,7 +41,10 @@ from cassini_bayes.computing.arrays import Array, Places
 from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft
 
-INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
+LEAST_INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
+INITIAL_SD: Final = (
+    3.0  # over the measured momentum's root mean square: its mean is a bias's middle
+)
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,8 @@ class TelemetryBalance:
 
     ``slow`` and ``fast`` are bands of its rows (:mod:`cassini_bayes.balance.bands`), ``turns``
     the turns of the attitude over its quiet pieces.
-    ``initial_mean_n_m_s`` centres the wide prior of the unknown initial momentum; ``spin`` (3, 3)
+    ``initial_mean_n_m_s`` (3,) and ``initial_sd_n_m_s`` are the wide prior of the unknown initial
+    momentum, which is flat beside what data tell; ``spin`` (3, 3)
     is the mean of |h|² 1 − h hᵀ over the rows, by which attitude noise enters. ``constant`` (M,)
     is a constant of unit length on the slow modes; ``log_unit``, ``log_size`` (log |det I| at
     the prior means), ``nominally_open``, what counters leave open there, ``reference``, channels at
@@ -267,6 +271,7 @@ class TelemetryBalance:
     fast: tuple[Band, ...]
     turns: tuple[TurnBand, ...]
     initial_mean_n_m_s: Array
+    initial_sd_n_m_s: float
     spin: Array
     wheels: WheelSquares  # over all rows
     products: Products
@@ -347,15 +352,23 @@ class TelemetryBalance:
 
     @cached_property
     def flat_rows(self) -> FlatRows:
-        """The bands of rows in which wheels move by any amount."""
-        fast = [f for f, band in enumerate(self.fast) if band.motion is None]
+        """The bands of rows in which wheels move by any amount, those that are one each by itself.
+
+        Reference noise may have torque noise where a model has none.
+        """
+        fast = [
+            (place, band)
+            for place, whole in enumerate(self.fast)
+            if whole.motion is None
+            for band in whole.parts or (whole,)
+        ]
         return FlatRows(
             np.r_[0, np.cumsum([band.rows for band in self.slow])],
             np.concatenate([band.walk for band in self.slow]),
             self.constant,
-            np.array(fast, dtype=np.int64),
-            np.array([float(self.fast[f].rows) for f in fast]),
-            np.array([self.fast[f].walk.mean() for f in fast]),
+            np.array([place for place, _ in fast], dtype=np.int64),
+            np.array([float(band.rows) for _, band in fast]),
+            np.array([band.walk.mean() for _, band in fast]),
         )
 
     @cached_property
@@ -427,6 +440,7 @@ def make_balance(
         fast=fast,
         turns=turns,
         initial_mean_n_m_s=np.asarray(start, dtype=np.float64),
+        initial_sd_n_m_s=max(LEAST_INITIAL_SD_N_M_S, INITIAL_SD * float(np.trace(squares)) ** 0.5),
         spin=np.trace(squares) * np.eye(3) - squares,
         wheels=of_wheels,
         products=Products(slow_modes, products, slopes, of_turns),
@@ -460,8 +474,8 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     if event.statistics.steps.wheel_rad_s > 0.0:  # rounding, too, differs by band
         return event
     first, rows = event.fast[0], sum(band.rows for band in event.fast)
-    # of the measure, whose reference noise may have torque noise
     walk = np.array([sum(band.rows * band.walk.mean() for band in event.fast) / rows])
+    whole = replace(first, rows=rows, walk=walk, faster=walk, parts=event.fast)
     products, nominally_open = event.products, event.nominally_open
     reference = event.reference
     if reference is not None:
@@ -469,7 +483,7 @@ def merged_bands(event: TelemetryBalance) -> TelemetryBalance:
     return replace(
         event,
         reference=reference,
-        fast=(replace(first, rows=rows, walk=walk, faster=walk),),
+        fast=(whole,),
         products=replace(products, fast=products.fast.as_one()),
         nominally_open=nominally_open._replace(rows=nominally_open.rows[:, : 1 + len(event.slow)]),
     )

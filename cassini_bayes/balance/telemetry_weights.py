@@ -17,7 +17,7 @@ from cassini_bayes.balance.open_counters import OpenScales
 from cassini_bayes.balance.physics import Physics
 from cassini_bayes.balance.statistics.layout import CUT_COLUMNS
 from cassini_bayes.balance.statistics.walk import walk_scales
-from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, Reduced, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import Reduced, TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import open_scales
 from cassini_bayes.computing.arrays import Array
 
@@ -160,7 +160,7 @@ def own_prior(
     tails = np.ones(event.pattern.hidden)  # in units of their sd
     return (
         np.concatenate([event.initial_mean_n_m_s, torque_mean_n_m, np.zeros(len(tails))]),
-        np.concatenate([np.full(3, INITIAL_SD_N_M_S), torque_sd_n_m, tails]),
+        np.concatenate([np.full(3, event.initial_sd_n_m_s), torque_sd_n_m, tails]),
     )
 
 

@@ -25,7 +25,7 @@ from cassini_bayes.balance.linearised import (
 from cassini_bayes.balance.part_columns import ColumnsByPart, PartColumns
 from cassini_bayes.balance.statistics.columns import Rows
 from cassini_bayes.balance.statistics.layout import Layout
-from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S, TelemetryBalance
+from cassini_bayes.balance.telemetry_balance import TelemetryBalance
 from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
@@ -219,7 +219,7 @@ def _slopes(terms: TelemetryBalance, rows: Rows, differences: Array, at: Array) 
 
 
 def _event_sd(terms: TelemetryBalance, torque_sd: Array) -> Array:
-    sd = np.concatenate([np.full(3, INITIAL_SD_N_M_S), np.maximum(torque_sd, _WIDE)])
+    sd = np.concatenate([np.full(3, terms.initial_sd_n_m_s), np.maximum(torque_sd, _WIDE)])
     return np.concatenate([sd, np.ones(terms.pattern.hidden)])
 
 

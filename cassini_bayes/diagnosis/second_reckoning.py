@@ -92,10 +92,17 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
 
 def acts_between_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
     """Whether a cause leaves pulses, body, wheels and gyro as they are: a torque that is steady."""
-    return acts_on_pulses(none, cause, point) and all(
-        np.allclose(one, two)
-        for own, other in _without_and_with(none, cause, point)
-        for one, two in zip(_of_pulses(own), _of_pulses(other), strict=True)
+    return (
+        acts_on_pulses(none, cause, point)
+        and all(
+            np.allclose(one, two)
+            for own, other in _without_and_with(none, cause, point)
+            for one, two in zip(_of_pulses(own), _of_pulses(other), strict=True)
+        )
+        and all(
+            _thrusters_columns(own) == _thrusters_columns(other)
+            for own, other in _without_and_with(none, cause, point)
+        )
     )
 
 
@@ -103,6 +110,11 @@ def _of_pulses(physics: Physics) -> tuple[Array | float, ...]:
     """All by which pulses give momentum."""
     factors = (physics.thrust_factor, physics.impulse_offset_s, physics.close_share)
     return (physics.arms_m, *physics.tau_s, *factors)
+
+
+def _thrusters_columns(physics: Physics) -> set[str]:
+    """Columns of effects that act through a thrust, ``what@thruster``."""
+    return {name for name in physics.extra if "@" in name}
 
 
 def gains_of_columns(none: Weighed[Hypothesis], causes: Sequence[Hypothesis]) -> dict[str, float]:

@@ -54,8 +54,11 @@ def columns(thrusters: Sequence[str]) -> tuple[ExtraColumn, ...]:
 
 
 def _on_time_lost(place: int, time_constant_s: float, context: RowContext) -> Array:
-    """Commanded on-time lost per unit of deficit so far: ∫ exp(−u/t_w) du over the on-time u."""
-    on_time = context.on_time_at(context.time_s)[:, place]
+    """Commanded on-time lost per unit of deficit so far: ∫ exp(−u/t_w) du over the on-time u.
+
+    u is counted from the first reading, as counters need not begin at 0.
+    """
+    on_time = context.on_time_at(context.time_s)[:, place] - context.on_time_s[0, place]
     return on_time_lost(on_time, np.asarray(time_constant_s))
 
 
@@ -64,8 +67,8 @@ def _tails_lost(place: int, time_constant_s: float, context: RowContext) -> Arra
 
     Pulses between two readings are taken to be alike.
     """
-    on_time, pulses = context.on_time_s[:, place], context.pulses[:, place]
-    count = np.diff(pulses)
+    on_time = context.on_time_s[:, place] - context.on_time_s[0, place]
+    count = np.diff(context.pulses[:, place])
     width = np.divide(np.diff(on_time), count, out=np.zeros_like(count), where=count > 0.0)
     ratio = np.exp(-width / time_constant_s)
     alike = np.divide(1.0 - ratio**count, 1.0 - ratio, out=np.array(count), where=ratio < 1.0)

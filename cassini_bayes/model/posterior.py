@@ -298,7 +298,8 @@ def _with_likely_thrusts(model: Model) -> Model:
     A tail that is 20 ms off makes thrusts two thirds too small, where thrusters mostly push to and
     fro. Of events with late pulses all thrusts are the same: one by one they are told by what their
     pulses on the whole differ. Noise of rates is searched for with the factor, as both look alike
-    in single rows; the measure of flat motion of such events is taken at what is likeliest.
+    in single rows; the measure of flat motion of such events is taken at what is likeliest. Events
+    that fire decide: at prior means slews are 1e5 nats too bad, which noise of rates would take up.
     """
     wide = _with_wide_thrusts(model, _ROUGH_LATE)
     nominal, lean = _nominal(wide), without_idle(model)
@@ -312,15 +313,15 @@ def _with_likely_thrusts(model: Model) -> Model:
     for _ in range(_ROUGH_TIMES):
         for pair in pairs:
             z = _on_grid(likely, [names.index(name) for name in pair if name in names])
+            firing = replace(lean, telemetry=tuple(t for t in lean.telemetry if t.event.fires))
             points = wide.points_at(_searched(wide, z), len(z))
-            collapsed = _collapse_at(lean, points)
+            collapsed = _collapse_at(firing, points)
             likeliest = int(np.argmax(collapsed.log_likelihood - 0.5 * (z**2).sum(axis=1)))
             likely = z[likeliest]
         rough = thrust_moments(wide.thrust_prior, collapsed.thrusts)[0][likeliest]
         rough = np.where(is_late, rough.mean(axis=1, keepdims=True), rough)
         rough = np.maximum(rough, _LEAST_ROUGH * wide.thrust_prior.common_mean_n)
-        at_likely = {**_searched(model, likely[None]), TORQUE_NOISE: np.zeros(1)}
-        points = model.points_at(at_likely, 1)
+        points = model.points_at(_searched(model, likely[None]), 1)
         model, lean = (_with_thrusts(own, rough, nominal, points) for own in (model, lean))
     return model
 
@@ -335,11 +336,15 @@ def _on_grid(z: Array, places: Sequence[int]) -> Array:
 
 
 def _searched(model: Model, z: Array) -> dict[str, Array]:
-    """Parameters (n,) of which what is searched for is as at z (n, d), all else at prior means."""
+    """Parameters (n,) of which what is searched for is as at z (n, d), all else at prior means.
+
+    Without torque noise, which not every hypothesis has.
+    """
     moved = model.space.to_parameters(z)
     searched = (name for name in (TAIL, LATE_FACTOR, RATE_NOISE) if name in model.space.names)
     means = {name: np.full(len(z), mean) for name, mean in model.priors.means().items()}
-    return {**means, **{name: np.asarray(moved[name]) for name in searched}}
+    found = {name: np.asarray(moved[name]) for name in searched}
+    return {**means, TORQUE_NOISE: np.zeros(len(z)), **found}
 
 
 def _with_wide_thrusts(model: Model, width: float) -> Model:

@@ -44,7 +44,6 @@ from cassini_bayes.balance.physics import (
     physics_of,
 )
 from cassini_bayes.balance.telemetry_balance import (
-    INITIAL_SD_N_M_S,
     TelemetryBalance,
     make_balance,
     merged_bands,
@@ -129,13 +128,15 @@ class TelemetryTerm:
     def draw_prior(self, torque_n_m: Array, rng: np.random.Generator) -> TermDraws:
         """The initial momentum from its prior; of tails nothing is known beforehand."""
         normals = rng.standard_normal((len(torque_n_m), 3))
-        initial = self.balance.initial_mean_n_m_s + INITIAL_SD_N_M_S * normals
+        initial = self.balance.initial_mean_n_m_s + self.balance.initial_sd_n_m_s * normals
         return {TORQUE: torque_n_m, INITIAL: initial}
 
     def log_prior(self, draws: TermDraws) -> Mapping[str, Array]:
         """That of the initial momentum."""
         shift = draws[INITIAL] - self.balance.initial_mean_n_m_s
-        return {"initial momentum": normal_log_density(shift, INITIAL_SD_N_M_S).sum(-1)}
+        return {
+            "initial momentum": normal_log_density(shift, self.balance.initial_sd_n_m_s).sum(-1)
+        }
 
     def observed(self) -> Mapping[str, Variable]:
         """On-times and pulses from the first to the last reading."""

@@ -24,7 +24,8 @@ from cassini_bayes.balance.statistics.columns import effective_increments
 from cassini_bayes.balance.statistics.event_statistics import CounterStatistics
 from cassini_bayes.balance.statistics.first_look import LateRows, Preparation
 from cassini_bayes.balance.statistics.inner_products import MODES, local_waves
-from cassini_bayes.balance.statistics.pairs import quarter_of
+from cassini_bayes.balance.statistics.long_levels import Levels, level_patterns
+from cassini_bayes.balance.statistics.pairs import Pairs, quarter_of
 from cassini_bayes.balance.statistics.preparation import prepare
 from cassini_bayes.balance.statistics.rows import quiet_rows
 from cassini_bayes.computing.arrays import joined
@@ -266,6 +267,36 @@ def test_joined_intervals_stay_in_their_quarter(monkeypatch: pytest.MonkeyPatch)
         ]
         np.testing.assert_allclose(sums[0], sums[1], rtol=1e-12, atol=1e-18, err_msg=name)
     assert few.counters.slopes.max() == pytest.approx(every.counters.slopes.max(), rel=0.3)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 10.0])
+def test_roundings_that_are_joined_leave_as_much(ratio: float) -> None:
+    """Of slow modes, in which k levels of a couple are one: within 40 %; as one rounding 2.3 to 4.
+
+    What firings add between two readings has ``ratio`` times the variance of a rounding.
+    """
+    rng, seconds, number, step = np.random.default_rng(20), 2_000, 600, 0.01
+    ends = np.sort(rng.choice(np.arange(1, seconds - 1), number, replace=False)).astype(float)
+    rows, each = np.arange(float(seconds)), (number, 1)
+    slopes = np.zeros((*each, 5))
+    slopes[..., 0] = 1.0
+    pairs = Pairs(ends, np.ones(each, dtype=bool), np.zeros(each), np.zeros((*each, 5, 5)), slopes)
+    levels = Levels(
+        ends, pairs.fired, slopes, np.array([step**2 / 12]), np.full(each, ratio), np.ones(1)
+    )
+    _, _, joined = counter_reduction._joined(pairs, np.zeros(each), levels, float(seconds), 150)
+    assert len(joined.end_s) < 160
+    modes = np.cos(np.pi * np.arange(1, 20) * (rows[:, None] + 0.5) / seconds)
+
+    def square(own: Levels) -> float:
+        """What all leave in the slowest modes, s²."""
+        begun = (rows[:, None] >= own.end_s).astype(float)
+        pattern = level_patterns(own, 0, begun, np.ones((seconds, 1)))[:, 0]
+        return float(((modes.T @ pattern) ** 2).sum())
+
+    assert square(joined) == pytest.approx(square(levels), rel=0.4)
+    as_one = replace(joined, open_s2=levels.open_s2, open_ratio=joined.open_ratio / 4.0)
+    assert square(as_one) > 2.3 * square(levels)
 
 
 def test_intervals_are_joined_by_couple(monkeypatch: pytest.MonkeyPatch) -> None:

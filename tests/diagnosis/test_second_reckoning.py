@@ -33,6 +33,7 @@ from cassini_bayes.diagnosis.innovations import left_by
 from cassini_bayes.diagnosis.modes import LOG_2_PI, Mode, find_mode, highest_mode
 from cassini_bayes.diagnosis.search import search_from_starts, with_whole_curvature
 from cassini_bayes.diagnosis.second_reckoning import (
+    acts_between_pulses,
     acts_on_pulses,
     gain_by_levels,
     gain_by_wander,
@@ -193,6 +194,20 @@ def test_a_thruster_acts_on_pulses() -> None:
     cause = weighed("thruster_misalignment:y2")
     point = cause.mode.point + 0.1 * np.eye(len(cause.mode.point))[-1]
     assert acts_on_pulses(none.hypothesis, cause.hypothesis, point)
+
+
+@usual_drive
+@pytest.mark.parametrize(
+    ("name", "steady"),
+    [(STEADY, True), (LEAK, True), ("thrust_warmup", False), ("time_offset", False)],
+)
+def test_a_steady_torque_leaves_pulses_as_they_are(name: str, steady: bool) -> None:
+    """What acts by columns of the thrusters changes them, whatever lever arms and tails are."""
+    events, none = flown()
+    cause = extend(none.hypothesis, [events.catalogue.effect(name)])
+    point = 0.5 * np.ones(cause.dimension)
+    assert acts_on_pulses(none.hypothesis, cause, point)
+    assert acts_between_pulses(none.hypothesis, cause, point) == steady
 
 
 def baseline_and_unknown(events: Events) -> tuple[Weighed[Hypothesis], Weighed[Hypothesis]]:

@@ -197,24 +197,26 @@ def test_time_shift_is_linear_between_nodes() -> None:
     )
 
 
-def test_warm_up_takes_from_the_tails_of_pulses_as_well() -> None:
-    """Pulses of 125 ms with tails of 30 ms: the columns are the sum of what each of them lost."""
+@pytest.mark.parametrize("before", [0.0, 5_000.0])
+def test_warm_up_takes_from_the_tails_of_pulses_as_well(before: float) -> None:
+    """Pulses of 125 ms with tails of 30 ms: the columns are the sum of what each of them lost.
+
+    Counters may have counted others ``before``.
+    """
     width, tail, constant = 0.125, 0.030, NODES_S[1]
     fired = np.arange(40)
     time = np.arange(400.0)
-    count = np.minimum(time // 10.0 + 1.0, len(fired))
-    counters = (time, (width * count)[:, None], count[:, None])
+    count = np.minimum(time // 10.0, len(fired))
+    counters = (time, (width * (before + count))[:, None], (before + count)[:, None])
     context = RowContext(time, np.zeros((400, 3)), np.zeros((400, 3)), *counters)
     columns = {column.name: column for column in standard().columns(("z1",))}
     commanded = columns[on_time_column("z1", constant)].values(context)
     tails = columns[tail_column("z1", constant)].values(context)
     ends = width * (fired + 1.0)
     of_pulses = constant * (np.exp(-(ends - width) / constant) - np.exp(-ends / constant))
-    place = count.astype(int) - 1
-    assert commanded == pytest.approx(np.cumsum(of_pulses)[place])
-    # the first pulse is before the first reading, where nothing had been lost
-    wanted = np.cumsum(np.exp(-ends / constant)) - np.exp(-ends[0] / constant)
-    assert tails == pytest.approx(wanted[place])
+    place = count.astype(int)
+    assert commanded == pytest.approx(np.r_[0.0, np.cumsum(of_pulses)][place])
+    assert tails == pytest.approx(np.r_[0.0, np.cumsum(np.exp(-ends / constant))][place])
     assert tail * tails[-1] > 0.15 * commanded[-1]
 
 

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from event_cases import ROOT, eased
 from telemetry_cases import (
     event_of,
     joint_of_slews,
@@ -18,14 +19,18 @@ from telemetry_cases import (
 
 from cassini_bayes.balance.bands import is_sparse, motion_table
 from cassini_bayes.balance.kernel import estimated_wheels
+from cassini_bayes.computing.arrays import Array
 from cassini_bayes.errors import InputError
+from cassini_bayes.files.toml_file import read_toml
 from cassini_bayes.model import build_model, collapse, draw, log_likelihood, log_posterior
 from cassini_bayes.model.posterior import with_equal_bands_merged
 from cassini_bayes.model.telemetry import unknowns_of
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.sampling.warmstart import warm_start
-from cassini_bayes.studies.telemetry_calibration import without_jacobian
+from cassini_bayes.simulation import scenario_of
+from cassini_bayes.studies.scenario import simulate_file
+from cassini_bayes.studies.telemetry_calibration import reduced_simulation, without_jacobian
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -108,6 +113,20 @@ def test_bands_alike_are_merged_without_a_change() -> None:
     assert log_likelihood(merged, z)[0] == pytest.approx(plain, rel=1e-9)
     noisy = build_model(reduced, free)
     assert with_equal_bands_merged(noisy) is noisy
+
+
+def test_bands_that_are_one_keep_the_measure_of_each() -> None:
+    """Their reference noise has torque noise, of which the measure of fast bands has little."""
+    rng = np.random.default_rng(15)
+    free = telemetry_priors()
+    event = event_of(made_up_samples(rng, 300, fires=False), free, "slew")
+    louder = (*event.sampling.reference_noise, ("torque_noise_n_m_s05", 5.0))
+    event = replace(event, sampling=replace(event.sampling, reference_noise=louder))
+    model = build_model([event], free.with_fixed("torque_noise_n_m_s05", 0.0))
+    merged = with_equal_bands_merged(model)
+    assert [len(term.balance.fast) for term in merged.telemetry] == [1]
+    z = 0.5 * model.space.sample(rng, 8)
+    assert log_likelihood(merged, z) == pytest.approx(log_likelihood(model, z), abs=1e-5)
 
 
 def test_draws_have_the_conditional_moments() -> None:
@@ -293,3 +312,26 @@ def test_wheels_that_show_nothing_leave_the_density_finite() -> None:
     assert np.all(np.isfinite(found))
     assert found[2:] == pytest.approx([found[2]] * 3, abs=1e-4)
     assert found[0] < found[1] <= found[2] + 1e-4
+
+
+def test_the_prior_of_the_initial_momentum_is_flat() -> None:
+    """A bias by 80 N m s: a prior that is wider still changes nothing, one of 10 N m s does."""
+    scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
+    content = eased(read_toml(scenario, "a scenario file"), 1.0, 4.0)
+    bias = {"from_rpm": [1800.0, -1700.0, 1900.0], "to_rpm": [-1800.0, 1700.0, -1600.0]}
+    content["event"] = [next(e for e in content["event"] if e["kind"] == "bias") | bias]
+    priors = telemetry_priors()
+    flight = simulate_file(scenario_of(content, scenario.parent), 11, priors=priors)
+    model = build_model([reduced_simulation(flight.events[0], priors)], priors)
+    term = model.telemetry[0]
+    z = model.space.sample(np.random.default_rng(1), 6)
+
+    def gained(sd_n_m_s: float) -> Array:
+        """Log likelihoods over that of the first point."""
+        balance = replace(term.balance, initial_sd_n_m_s=sd_n_m_s)
+        values = log_likelihood(replace(model, telemetry=(replace(term, balance=balance),)), z)
+        return np.asarray(values - values[0])
+
+    wide = gained(1e4)
+    assert gained(term.balance.initial_sd_n_m_s) == pytest.approx(wide, abs=0.01)
+    assert np.abs(gained(10.0) - wide).max() > 0.1

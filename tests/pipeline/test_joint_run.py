@@ -13,7 +13,6 @@ import pytest
 from event_cases import PRIORS, events, model, priors, simulated
 from test_run import Silent
 
-from cassini_bayes.balance.telemetry_balance import INITIAL_SD_N_M_S
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.totals import read_totals, write_totals
 from cassini_bayes.model import collapse, draw, event_log_density
@@ -219,7 +218,7 @@ def test_event_density_is_the_collapsed_one_before_integrating() -> None:
     density = event_log_density(joint, z, draws)[:, 0]
     assert density + prior - given == pytest.approx(collapsed.log_likelihood, rel=1e-9)
     assert np.ptp(own[:, 0]) > 0
-    assert sd[0, 0] == INITIAL_SD_N_M_S
+    assert sd[0, 0] == joint.telemetry[0].balance.initial_sd_n_m_s
 
 
 def test_a_bad_proposal_is_said_and_survived(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,11 +60,11 @@ def counter_statistics(
 ) -> CounterStatistics:
     """Intervals with firings, neighbours joined where there are very many."""
     late, levels = prepared.late, _levels(pairs, prepared, layout)
-    steps, ratio = pairs.steps(sampling.pair_s2), levels.open_ratio
+    steps = pairs.steps(sampling.pair_s2)
     rows = max(len(times.values) * times.stride, 1)
     most = min(MOST_STEPS, STEPS_BY_ROW * rows)
     whole = frozenset(sampling.levels.couples)
-    pairs, steps, ratio = _joined(pairs, steps, ratio, sampling.duration_s, most, whole)
+    pairs, steps, levels = _joined(pairs, steps, levels, sampling.duration_s, most, whole)
     return CounterStatistics(
         times.values,
         times.stride,
@@ -75,7 +75,7 @@ def counter_statistics(
         steps,
         pairs.slopes,
         levels.open_s2,
-        ratio,
+        levels.open_ratio,
         levels.open_every,
         np.array(sampling.gaps_s),
         np.array(sampling.paired_s),
@@ -101,19 +101,21 @@ def counter_statistics(
 def _joined(
     pairs: Pairs,
     steps: Array,
-    ratio: Array,
+    levels: Levels,
     duration_s: float,
     most: int,
     whole: Container[int] = (),
-) -> tuple[Pairs, Array, Array]:
-    """Intervals with their steps and ratios (m, G), a couple's neighbours joined beyond so many.
+) -> tuple[Pairs, Array, Levels]:
+    """Intervals with their steps (m, G) and levels, a couple's neighbours joined beyond so many.
 
     What joined ones have together is in the first of them: each couple has its own, as a level in a
     wrong place shows. None is joined over a quarter's end, as a column of cut tails stands for what
-    is in its own quarter. Couples that are to stay ``whole`` keep theirs.
+    is in its own quarter. Couples that are to stay ``whole`` keep theirs. A level of k that are
+    joined is the mean of k roundings that each last a k-th of its time: σ²/k.
     """
     quarter = quarter_of(pairs.end_s, duration_s)
-    fired, steps, ratio = pairs.fired.copy(), steps.copy(), ratio.copy()
+    fired, steps, ratio = pairs.fired.copy(), steps.copy(), levels.open_ratio.copy()
+    open_s2, open_every = levels.open_s2.copy(), levels.open_every.copy()
     square, unlike, slopes = pairs.square.copy(), pairs.unlike.copy(), pairs.slopes.copy()
     for g in range(fired.shape[1]):
         own = np.flatnonzero(fired[:, g] | (steps[:, g] > 0.0))
@@ -128,12 +130,17 @@ def _joined(
             each[own, g] = 0.0
             each[first, g] = together
         slopes[first, g] /= np.maximum(firings, 1.0)[:, None]
+        readings = max(every / open_every[g], 1.0)  # that are used, of each level
+        ratio[first, g] *= readings
+        open_s2[g] /= readings
+        open_every[g] = -(-open_every[g] // every)
         fired[own, g] = False
         fired[first, g] = firings > 0.0
     kept = np.flatnonzero(fired.any(axis=1) | (steps > 0.0).any(axis=1))
     end_s, fired = pairs.end_s[kept], fired[kept]
     joined = Pairs(end_s, fired, square[kept], unlike[kept], slopes[kept])
-    return joined, steps[kept], ratio[kept]
+    of_joined = Levels(end_s, fired, slopes[kept], open_s2, ratio[kept], open_every)
+    return joined, steps[kept], of_joined
 
 
 def _open_ratios(by_couple: Sequence[Rounding], read_s: Array, end_s: Array) -> Array:
