@@ -25,6 +25,7 @@ AXES: Final = "xyz"
 WINDOW_ROWS: Final = 61
 """Of running means: judgement, a minute at 1 Hz lowers noise eightfold and keeps what thrusters do
 in a bias of twenty."""
+LEAST_SMOOTHED: Final = 3  # rows: one and its neighbours
 CLOSURE_ROWS: Final = 50  # at either end: noise a seventh of a row's (judgement)
 LAGS: Final = 40  # rows: judgement, longer than the answer of any filter or dead-band at 1 Hz
 PROBABILITY: Final = 0.95  # of the bands
@@ -134,6 +135,21 @@ def running_mean(values: Array, width: int) -> Array:
     return np.asarray(np.convolve(values, ones, mode="same") / counts)
 
 
+def mean_of_others(values: Array, width: int) -> Array:
+    """Mean over an odd number of up to ``width`` rows about each row, without it.
+
+    Of a channel that is in the innovations too: its own noise is in none of its means. Less than
+    three rows are as they are.
+    """
+    count = len(values)
+    if count < LEAST_SMOOTHED:
+        return values
+    around = np.ones(min(width, count - 1 + count % 2))  # an odd number: the row in the middle
+    around[len(around) // 2] = 0.0
+    counts = np.convolve(np.ones(count), around, mode="same")
+    return np.asarray(np.convolve(values, around, mode="same") / counts)
+
+
 def filled(counter: Array) -> Array:
     """A counter at every row, where it is not read in all of them."""
     known = np.flatnonzero(np.isfinite(counter))
@@ -145,8 +161,8 @@ def filled(counter: Array) -> Array:
 def drivers(event: InnovationRows) -> dict[str, Array]:
     """What innovations may go with: columns over the rows, without those that do not change.
 
-    Wheel speeds and body rates are running means of 61 rows; firing rates and accelerations are
-    slopes of running means.
+    Wheel speeds and body rates are running means of 61 rows without the row itself, whose noise is
+    in its innovation; firing rates and accelerations are slopes of running means.
     """
     columns: dict[str, Array] = {}
     for k, name in enumerate(event.thrusters[: event.on_time_s.shape[1]]):
@@ -154,9 +170,9 @@ def drivers(event: InnovationRows) -> dict[str, Array]:
         columns[f"on-time of {name.upper()}"] = on_time
         columns[f"firing rate of {name.upper()}"] = _slope(event, on_time)
     for w, number in enumerate(event.wheels):
-        columns[f"speed of wheel {number}"] = running_mean(event.wheel_rad_s[:, w], WINDOW_ROWS)
+        columns[f"speed of wheel {number}"] = mean_of_others(event.wheel_rad_s[:, w], WINDOW_ROWS)
         columns[f"acceleration of wheel {number}"] = _slope(event, event.wheel_rad_s[:, w])
-    smooth = np.stack([running_mean(event.rate_rad_s[:, c], WINDOW_ROWS) for c in range(3)], axis=1)
+    smooth = np.stack([mean_of_others(rate, WINDOW_ROWS) for rate in event.rate_rad_s.T], axis=1)
     for c, name in enumerate("XYZ"):
         columns[f"rate about {name}"] = smooth[:, c]
     for c, name in enumerate("XYZ"):

@@ -30,6 +30,7 @@ from cassini_bayes.balance.telemetry_noise import noise_covariance
 from cassini_bayes.balance.telemetry_weights import balance_weights
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.diagnosis.case import Weighed
+from cassini_bayes.diagnosis.correlations import mean_of_others
 from cassini_bayes.diagnosis.hypotheses import Hypothesis, expected_thrusts_n, thrust_factors
 from cassini_bayes.diagnosis.rows_and_turns import with_turns
 from cassini_bayes.diagnosis.unresolved import unresolved
@@ -38,7 +39,6 @@ from cassini_bayes.effects.effect import Remainder
 SMOOTHED_ROWS: Final = 31
 """Of running means of channels behind slopes: judgement, noise a fifth or less, and half a minute
 is short beside a slew."""
-LEAST_SMOOTHED: Final = 3  # rows: one and its neighbours
 _STEP: Final = 1e-3  # standard normals, for slopes: central differences good to 1e-6
 _WIDE: Final = 1e-12  # N m, the least width of a torque's prior: one that is fixed has none
 
@@ -78,19 +78,12 @@ def smoothed(rows: Rows, layout: Layout) -> Rows:
     row's own noise is in none of its means: of an hour in which a body stands still a 31st of it
     tells of an inertia that is five standard deviations off.
     """
-    vectors, n = len(layout.vector), len(rows.time_s)
-    if n < LEAST_SMOOTHED:
-        return rows
-    scalar = rows.scalar.copy()
-    around = np.ones(min(SMOOTHED_ROWS, n - 1 + n % 2))  # an odd number: the row in the middle
-    around[len(around) // 2] = 0.0
-    counts = np.convolve(np.ones(n), around, mode="same")
+    vectors, scalar = len(layout.vector), rows.scalar.copy()
     for place in (
         *range(layout.rate.start, layout.rate.stop),
         *range(layout.wheel.start, layout.wheel.stop),
     ):
-        column = scalar[:, place - vectors]
-        scalar[:, place - vectors] = np.convolve(column, around, mode="same") / counts
+        scalar[:, place - vectors] = mean_of_others(scalar[:, place - vectors], SMOOTHED_ROWS)
     return replace(rows, scalar=scalar)
 
 

@@ -13,21 +13,31 @@ from scipy.stats import kstest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
 from cassini_bayes.balance.linearised import fitted_away
+from cassini_bayes.diagnosis import correlations
 from cassini_bayes.diagnosis.balance_case import BalanceCase
 from cassini_bayes.diagnosis.correlations import (
     InnovationTests,
     family_band,
     innovation_tests,
+    running_mean,
 )
 from cassini_bayes.diagnosis.discrepancy import Curve, curves_of
-from cassini_bayes.diagnosis.hypotheses import Hypothesis, extend, none_hypothesis, thrust_factors
+from cassini_bayes.diagnosis.hypotheses import (
+    Hypothesis,
+    compact,
+    extend,
+    none_hypothesis,
+    thrust_factors,
+)
 from cassini_bayes.diagnosis.innovations import (
     SMOOTHED_ROWS,
     effect_momentum,
+    innovations,
     linearise,
     smoothed,
     thrust_columns,
 )
+from cassini_bayes.diagnosis.modes import highest_mode
 from cassini_bayes.diagnosis.nuisances import traded
 from cassini_bayes.diagnosis.overlay import cause_part, fit_percent, overlays
 from cassini_bayes.diagnosis.refit import fit_extended
@@ -44,6 +54,7 @@ from cassini_bayes.studies.scenario import Simulation, simulate_file
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
+AT_REST = {"epoch": "2009-08-22T00:00:00Z", "from_rpm": [1500.0, -1200.0, 900.0]}
 LEAK_N = 1.0e-4
 LAGGED = range(1, 6)
 
@@ -104,6 +115,31 @@ def test_a_rows_own_noise_is_in_none_of_its_running_means() -> None:
     wanted[60] = 0.0
     for column in columns:
         assert moved[:, column] == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_innovations_of_a_body_at_rest_do_not_go_with_its_rates(seed: int) -> None:
+    """An hour at 1 Hz, all as modelled: z of the rate about an axis is within its family band.
+
+    With the row itself in the running mean, whose noise is in its innovation, it is 5 to 10.
+    """
+    document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
+    document["event"] = [{"id": "quiet", "kind": "quiescent", "duration_s": 3600.0} | AT_REST]
+    quiet = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=PRIORS)
+    none = compact(none_hypothesis(reduced(quiet, PRIORS)))
+    mode = highest_mode(none.log_density, none.model.starts)
+    left = innovations(none, mode.point)
+
+    def farthest() -> float:
+        """Largest |z| of a rate about the axis of an innovation, over the band."""
+        found = innovation_tests(left.linear, left.rows, np.random.default_rng(2))
+        own = [t.z for t in found.drivers if t.driver == f"rate about {t.axis.upper()}"]
+        return float(np.nanmax(np.abs(own)) / found.family_z)
+
+    assert farthest() < 1.0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(correlations, "mean_of_others", running_mean)
+        assert farthest() > 1.5
 
 
 def test_a_common_thrust_that_is_walked_moves_all_thrusts() -> None:
