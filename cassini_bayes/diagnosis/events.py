@@ -92,8 +92,9 @@ def prepare(
 
     ``kinds`` are the effects that there are; those of the package by default. Causes are weighed by
     momentum: a measured velocity change is left out. What rows with late pulses cannot tell is not
-    weighed where an event has them, nor by slews alone what needs turns about an axis at rest: a
-    finding says so. The causes that are weighed have all that causes have of the prior probability.
+    weighed where an event has them, nor by events without firings what needs turns about an axis at
+    rest: a finding says so. The causes that are weighed have all that causes have of the prior
+    probability.
     """
     known = standard() if kinds is None else kinds
     events: tuple[Event, ...] = (*rows, *telemetry)
@@ -120,7 +121,7 @@ def prepare(
 
 def untold_axes(telemetry: Sequence[ReducedEvent]) -> frozenset[str]:
     """Axes about which no slew turns, where no other event's firings tell of them either."""
-    if any(event.kind != "slew" and event.thrusters for event in telemetry):
+    if not telemetry or any(event.kind != "slew" and event.thrusters for event in telemetry):
         return frozenset()
     return frozenset(axes_at_rest(telemetry))
 
@@ -132,4 +133,4 @@ def turns_only_about(effect: Effect, axes: frozenset[str]) -> bool:
 
 def _not_weighed(causes: Sequence[str]) -> str:
     names = ", ".join(causes)
-    return f"slews: none turns about an axis of {names}: not weighed, as noise alone can draw it"
+    return f"no event turns about an axis of {names}: not weighed, as noise alone can draw it"

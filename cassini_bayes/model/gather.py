@@ -193,9 +193,11 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
     rows, f the share of the rates' noise in the balance and f₀ that at the reference. Beside a slew
     about it that is nothing (docs/topics/telemetry-likelihood.md §11). An element I_ij is named
     where the projector P on what is at rest leaves :data:`DRAWN` of its unit matrix, P_ii or
-    √(P_ii P_jj + P_ij²), and the priors do not fix it.
+    √(P_ii P_jj + P_ij²), and the priors do not fix it. Quiescent events alone turn about none.
     """
     rates = _slew_rates(events)
+    if not len(rates) and not only_rest(events):
+        return ()
     largest = float(np.sqrt(np.linalg.eigvalsh(rates)[:, -1].max(initial=0.0)))
     at_rest = _directions_at_rest(rates, largest)
     left = at_rest.T @ at_rest
@@ -207,6 +209,12 @@ def unturned(events: Sequence[Event], priors: Priors) -> tuple[str, ...]:
             drawn.append(name)
     if not drawn:
         return ()
+    if not len(rates):
+        return (
+            f"quiescent events alone: nothing turns the body, and noise alone can draw "
+            f"{', '.join(drawn)} by many standard deviations; add a slew or a bias, or fix them "
+            "in the priors",
+        )
     return (
         f"slews: none turns about {_in_words(at_rest)} ({_turned(rates, at_rest).max():.2g} "
         f"rad/s, rms; {largest:.2g} about another direction): noise alone can draw "
@@ -241,10 +249,18 @@ def coarse_rates(events: Sequence[Event]) -> tuple[str, ...]:
 
 
 def axes_at_rest(events: Sequence[Event]) -> tuple[str, ...]:
-    """Body axes about which none of the slews turns; none without slews."""
+    """Body axes about which none of the slews turns; all if there are none."""
     turned = _turned(_slew_rates(events), np.eye(3))
-    at_rest = turned < AT_REST * turned.max()
+    at_rest = turned <= AT_REST * turned.max()
     return tuple(axis for axis, rests in zip("xyz", at_rest, strict=True) if rests)
+
+
+def only_rest(events: Sequence[Event]) -> bool:
+    """Whether all events are telemetry in which nothing fires and the body does not slew."""
+    return all(
+        isinstance(event, ReducedEvent) and not event.fires and event.statistics.kind != "slew"
+        for event in events
+    )
 
 
 def _directions_at_rest(rates: Array, largest: float) -> Array:
@@ -253,7 +269,7 @@ def _directions_at_rest(rates: Array, largest: float) -> Array:
     ``largest`` is the largest rate about any direction, rad/s.
     """
     directions = np.linalg.eigh(rates.sum(axis=0))[1].T
-    return np.asarray(directions[_turned(rates, directions) < AT_REST * largest])
+    return np.asarray(directions[_turned(rates, directions) <= AT_REST * largest])
 
 
 def _turned(rates: Array, directions: Array) -> Array:
