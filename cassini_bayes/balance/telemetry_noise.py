@@ -23,6 +23,7 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 LEAST_PULSE: Final = 0.1  # of what pulses deliver where the event's thrusts were told
 LEAST_RATE_RAD_S: Final = 1e-9  # noise that no gyro goes below: without any, turns have no say
+LEAST_WHEEL_RPM: Final = 1e-4  # nor any tachometer: far below it sums of squares lose all digits
 
 
 def noise_covariance(
@@ -91,7 +92,7 @@ def _white_variances(
     event: TelemetryBalance, parameters: Mapping[str, Array], squares: WheelSquares, shares: Array
 ) -> Array:
     """Variance (n, …, W) of wheel rates but for roundings that last or repeat, rad²/s²."""
-    noise = parameters["wheel_noise_rpm"] * RAD_S_PER_RPM
+    noise = np.maximum(parameters["wheel_noise_rpm"], LEAST_WHEEL_RPM) * RAD_S_PER_RPM
     rounding = event.statistics.steps.wheel_rad_s**2 / 12.0
     rounding = rounding * (1.0 - shares.sum(axis=1))
     of_row = (noise**2 + rounding) / event.statistics.counters.averaged

@@ -343,7 +343,7 @@ def _searched(model: Model, z: Array) -> dict[str, Array]:
     moved = model.space.to_parameters(z)
     searched = (name for name in (TAIL, LATE_FACTOR, RATE_NOISE) if name in model.space.names)
     means = {name: np.full(len(z), mean) for name, mean in model.priors.means().items()}
-    found = {name: np.asarray(moved[name]) for name in searched}
+    found: dict[str, Array] = {name: np.asarray(moved[name]) for name in searched}
     return {**means, TORQUE_NOISE: np.zeros(len(z)), **found}
 
 

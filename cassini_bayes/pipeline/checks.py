@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.log import Log, silent
+from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.events.plausibility import Policy
 from cassini_bayes.events.totals import TotalsEvent
@@ -139,6 +140,7 @@ class CheckResult:
         return html_of("Before sampling", lines, self.summary())
 
 
+@one_thread()
 def check(
     events: EventLike | Iterable[EventLike] | Model,
     priors: PriorsLike | None = None,

@@ -335,3 +335,18 @@ def test_the_prior_of_the_initial_momentum_is_flat() -> None:
     wide = gained(1e4)
     assert gained(term.balance.initial_sd_n_m_s) == pytest.approx(wide, abs=0.01)
     assert np.abs(gained(10.0) - wide).max() > 0.1
+
+
+def test_no_wheel_is_without_noise() -> None:
+    """Wheel rates without a step: the density is flat where noise is beyond any tachometer's.
+
+    Sums of squares had lost all digits there, and the density rose to 1e15.
+    """
+    model = model_of([made_up_samples(np.random.default_rng(2), 300)])
+    z = np.zeros((3, model.space.dimension))
+    place = model.space.names.index("wheel_noise_rpm")
+    wanted = np.array([1e-4, 1e-9, 1e-12])
+    z[:, place] = model.space.distributions[place].standard_of(wanted)
+    assert model.space.to_parameters(z)["wheel_noise_rpm"] == pytest.approx(wanted)
+    found = log_likelihood(model, z)
+    assert found == pytest.approx(found[0], abs=1.0)
