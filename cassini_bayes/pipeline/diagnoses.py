@@ -61,6 +61,8 @@ WRITTEN: Final = (
     RESOLVED,
 )
 """What a diagnosis writes into its folder: all that ``force`` removes, what makes it one last."""
+OWN_KEY: Final = "gain"
+"""Key of the settings of every diagnosis, which those of a run do not have."""
 DIAGNOSED_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
 """Modules whose code, with all that they import, a diagnosis depends on."""
 _MOST_SHOWN: Final = 5
@@ -297,7 +299,7 @@ def diagnose(
             "source": source,
             "accept": sorted(accept),
             "leave_out": leave_out,
-            "gain": gain,
+            OWN_KEY: gain,
             "seed": seed,
         }
         read = {**digests, **kinds.files}
@@ -338,7 +340,7 @@ def _opened(
     depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
     provenance = provenance.relative_to(Path(), folder)
-    kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN}
+    kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN, "own_key": OWN_KEY}
     return open_folder(folder, settings, provenance, force=force, resume=resume, **kind)
 
 

@@ -55,6 +55,8 @@ WRITTEN: Final = (
     RESOLVED,  # last: it makes a folder a run, so a removal cut short can be done again
 )
 """What a run and its sweep write into its folder: all that ``--force`` removes."""
+OWN_KEY: Final = "sampler"
+"""Key of the settings of every run, which those of a diagnosis do not have."""
 
 
 class Reporter(Protocol):
@@ -102,13 +104,16 @@ def prepare_folder(
     what: str = "run",
     result: str = FIT_FILE,
     written: Sequence[str] = WRITTEN,
+    own_key: str = OWN_KEY,
 ) -> None:
     """Make the folder of a run, or refuse: an existing run is never overwritten silently.
 
     ``resume`` wins over ``force``, so the command that began a run goes on with it once
     ``--resume`` is added. What killed writes left behind counts as nothing, and is removed; so does
     a run that ended before its first checkpoint: it holds no draws. Only what runs write is ever
-    removed (``written``), a user's own files beside it stay.
+    removed (``written``), a user's own files beside it stay. Settings of runs and of diagnoses have
+    a file of the same name, and neither takes the folder of the other: a fit would be left beside
+    settings that are not its own.
 
     Parameters
     ----------
@@ -117,6 +122,8 @@ def prepare_folder(
     what, result, written
         What such a folder is of, the file that ends it, and all that is written there, the file
         that makes the folder one of these last.
+    own_key
+        A key that this file has in folders of this kind only.
 
     Raises
     ------
@@ -124,7 +131,7 @@ def prepare_folder(
         The run exists and neither ``--force`` nor ``--resume`` was given; ``--resume`` without a
         run; ``--force`` on a folder that is not a run's; a place that cannot be written.
     """
-    is_run = (folder / written[-1]).exists()
+    is_run = is_resolved(folder / written[-1], own_key)
     if resume:
         if not is_run:
             raise InputError(
@@ -135,7 +142,7 @@ def prepare_folder(
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), f"a folder for the {what}", "a file", "choose another --out")
     if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
-        if not (is_run and is_resolved(folder / written[-1])):
+        if not is_run:
             raise InputError(
                 str(folder),
                 f"a new folder, or an earlier {what} of this package (with {written[-1]})",
