@@ -340,8 +340,17 @@ def _opened(
     depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
     provenance = provenance.relative_to(Path(), folder)
-    kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN, "own_key": OWN_KEY}
-    return open_folder(folder, settings, provenance, force=force, resume=resume, **kind)
+    return open_folder(
+        folder,
+        settings,
+        provenance,
+        force=force,
+        resume=resume,
+        what="diagnosis",
+        result=DIAGNOSED,
+        written=WRITTEN,
+        own_key=OWN_KEY,
+    )
 
 
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:
