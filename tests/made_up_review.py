@@ -463,12 +463,13 @@ def _delta_v(rng: np.random.Generator, events: list[str]) -> pd.DataFrame:
             "printed_mm_s": printed,
             "computed_mean_mm_s": printed + 0.06 * rng.standard_normal(len(events)),
             "computed_sd_mm_s": rng.uniform(0.02, 0.06, len(events)),
+            "noise_sd_mm_s": np.geomspace(0.1, 0.2, len(events)),
         }
     )
 
 
 def _no_delta_v() -> pd.DataFrame:
-    return pd.DataFrame(columns=["event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s"])
+    return _delta_v(np.random.default_rng(1), [])
 
 
 def _variants(rng: np.random.Generator, summary: pd.DataFrame) -> pd.DataFrame:

@@ -18,6 +18,8 @@ FLIGHT = ROOT / "cassini_bayes" / "published" / "flight_2009_2010.csv"
 B_BRANCH = ROOT / "priors" / "cassini_b_branch_2010.toml"
 A_BRANCH = ROOT / "priors" / "cassini_a_branch_2005.toml"
 EVENTS = ("2009-08-22-bias", "2009-10-05-bias")
+RECORD = 'events = ["e.csv"]\npriors = "p.toml"\n[sampler]\nseed = 1\n'
+"""What makes a folder a run's."""
 
 
 def small_table() -> dict[str, object]:

@@ -61,6 +61,8 @@ WRITTEN: Final = (
     RESOLVED,
 )
 """What a diagnosis writes into its folder: all that ``force`` removes, what makes it one last."""
+OWN_KEY: Final = "gain"
+"""Key of the settings of every diagnosis, which those of a run do not have."""
 DIAGNOSED_BY: Final = ("diagnosis.read", "diagnosis.diagnosis")
 """Modules whose code, with all that they import, a diagnosis depends on."""
 _MOST_SHOWN: Final = 5
@@ -297,7 +299,7 @@ def diagnose(
             "source": source,
             "accept": sorted(accept),
             "leave_out": leave_out,
-            "gain": gain,
+            OWN_KEY: gain,
             "seed": seed,
         }
         read = {**digests, **kinds.files}
@@ -338,8 +340,17 @@ def _opened(
     depends_on = {"settings": settings, "data": digests, "code": code_digest(*DIAGNOSED_BY)}
     provenance = recorded(depends_on, digests, int(settings["seed"]), command)
     provenance = provenance.relative_to(Path(), folder)
-    kind = {"what": "diagnosis", "result": DIAGNOSED, "written": WRITTEN}
-    return open_folder(folder, settings, provenance, force=force, resume=resume, **kind)
+    return open_folder(
+        folder,
+        settings,
+        provenance,
+        force=force,
+        resume=resume,
+        what="diagnosis",
+        result=DIAGNOSED,
+        written=WRITTEN,
+        own_key=OWN_KEY,
+    )
 
 
 def _digests(events: Sequence[EventLike], priors: PriorsLike, case: Case[Any]) -> dict[str, str]:

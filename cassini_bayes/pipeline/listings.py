@@ -14,6 +14,7 @@ from cassini_bayes.effects.tables import INPUTS
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FitResult, read_fit
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
+from cassini_bayes.prediction.physics import COMMON
 from cassini_bayes.prediction.planning import LEVEL
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import known_parameters
@@ -117,7 +118,8 @@ def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
 
     Returns
     -------
-    DataFrame: ``name``, ``unit``, ``meaning``, ``used_by`` (``summary, sweep``, ``plan`` or both).
+    DataFrame: ``name``, ``unit``, ``meaning``, ``used_by`` (``summary, sweep``, ``plan`` or both;
+    of a fit of a mission, which can be neither swept nor planned with, ``summary`` alone).
 
     Raises
     ------
@@ -125,19 +127,21 @@ def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
         No fit there.
     """
     read = fit if isinstance(fit, FitResult) else read_fit(fit)
+    is_of_mission = COMMON not in read.posterior
     rows = []
     for name in scalar_names(read.posterior):
         attributes = read.posterior[name.split("[")[0]].attrs
-        whole = "[" not in name and not name.startswith("thrust_common")
+        whole = "[" not in name and name != COMMON
+        used_by = "summary, sweep, plan" if whole else "summary, sweep"
         rows.append(
             {
                 "name": name,
                 "unit": attributes["units"],
                 "meaning": attributes["long_name"],
-                "used_by": "summary, sweep, plan" if whole else "summary, sweep",
+                "used_by": "summary" if is_of_mission else used_by,
             }
         )
-    if "thruster" in read.posterior.dims:
+    if "thruster" in read.posterior.dims and not is_of_mission:
         names = [str(name) for name in read.posterior["thruster"].values]
         of_plans = [
             *((f"{LEVEL}{name}_n", f"level of {name} over all events") for name in names),

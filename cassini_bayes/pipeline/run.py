@@ -36,11 +36,12 @@ from cassini_bayes.report.verdict import verdict
 from cassini_bayes.results.fitting import ALL_MET, convergence_table, fit_model
 from cassini_bayes.results.record import FIT_FILE, Fit, save_fit
 from cassini_bayes.results.review import Review, is_converged
-from cassini_bayes.sampling.ensembles import ProgressReport
+from cassini_bayes.sampling.ensembles import ProgressReport, steps_kept
 
 CHECKPOINT: Final = "checkpoint"
 SWEEP: Final = "sweep"
 """Folder of a run that keeps what a sweep made of its fit."""
+FIGURES: Final = "figures"
 REPORT: Final = "report.html"
 WRITTEN: Final = (
     PROVENANCE,
@@ -49,12 +50,14 @@ WRITTEN: Final = (
     FIT_FILE,
     "summary.csv",
     "tables",
-    "figures",
+    FIGURES,
     REPORT,
     SWEEP,
     RESOLVED,  # last: it makes a folder a run, so a removal cut short can be done again
 )
 """What a run and its sweep write into its folder: all that ``--force`` removes."""
+OWN_KEY: Final = "sampler"
+"""Key of the settings of every run, which those of a diagnosis do not have."""
 
 
 class Reporter(Protocol):
@@ -102,13 +105,16 @@ def prepare_folder(
     what: str = "run",
     result: str = FIT_FILE,
     written: Sequence[str] = WRITTEN,
+    own_key: str = OWN_KEY,
 ) -> None:
     """Make the folder of a run, or refuse: an existing run is never overwritten silently.
 
     ``resume`` wins over ``force``, so the command that began a run goes on with it once
     ``--resume`` is added. What killed writes left behind counts as nothing, and is removed; so does
     a run that ended before its first checkpoint: it holds no draws. Only what runs write is ever
-    removed (``written``), a user's own files beside it stay.
+    removed (``written``), a user's own files beside it stay. Settings of runs and of diagnoses have
+    a file of the same name, and neither takes the folder of the other: a fit would be left beside
+    settings that are not its own.
 
     Parameters
     ----------
@@ -117,6 +123,8 @@ def prepare_folder(
     what, result, written
         What such a folder is of, the file that ends it, and all that is written there, the file
         that makes the folder one of these last.
+    own_key
+        A key that this file has in folders of this kind only.
 
     Raises
     ------
@@ -124,7 +132,7 @@ def prepare_folder(
         The run exists and neither ``--force`` nor ``--resume`` was given; ``--resume`` without a
         run; ``--force`` on a folder that is not a run's; a place that cannot be written.
     """
-    is_run = (folder / written[-1]).exists()
+    is_run = is_resolved(folder / written[-1], own_key)
     if resume:
         if not is_run:
             raise InputError(
@@ -135,7 +143,7 @@ def prepare_folder(
     if folder.exists() and not folder.is_dir():
         raise InputError(str(folder), f"a folder for the {what}", "a file", "choose another --out")
     if folder.is_dir() and not all(map(is_leftover, folder.iterdir())):
-        if not (is_run and is_resolved(folder / written[-1])):
+        if not is_run:
             raise InputError(
                 str(folder),
                 f"a new folder, or an earlier {what} of this package (with {written[-1]})",
@@ -149,11 +157,7 @@ def prepare_folder(
                 f"an existing {what}",
                 "use --resume to go on with it, --force to start anew, or another --out",
             )
-        for entry in (folder / name for name in written):
-            if entry.is_dir() and not entry.is_symlink():
-                shutil.rmtree(entry)
-            else:
-                entry.unlink(missing_ok=True)
+        _remove(folder, written)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(folder)
@@ -163,24 +167,60 @@ def prepare_folder(
         ) from error
 
 
+def _remove(folder: Path, names: Sequence[str]) -> None:
+    """Remove files and folders of these names, of a link the link."""
+    for entry in (folder / name for name in names):
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink(missing_ok=True)
+
+
 def open_folder(
-    folder: Path, settings: Mapping[str, Any], provenance: Provenance, *, resume: bool, **how: Any
+    folder: Path,
+    settings: Mapping[str, Any],
+    provenance: Provenance,
+    *,
+    resume: bool,
+    max_steps: int | None = None,
+    **how: Any,
 ) -> CheckpointStore:
     """The checkpoints of a folder, which says what it is of; ``how`` as for :func:`prepare_folder`.
+
+    Parameters
+    ----------
+    max_steps
+        Steps after which a run gives up.
 
     Raises
     ------
     InputError
-        As :func:`prepare_folder`; a run to resume that began with something else.
+        As :func:`prepare_folder`; a run to resume that began with something else, or that has more
+        steps than ``max_steps`` already.
     """
     kept = folder / PROVENANCE
+    store = CheckpointStore(folder / CHECKPOINT, provenance.identity)
     if resume:
         refuse_other_run(kept, provenance, settings)
+        if max_steps is not None:
+            _refuse_fewer_steps(store, max_steps)
     prepare_folder(folder, resume=resume, **how)
     write_text(folder / RESOLVED, tomli_w.dumps(settings))
     if not kept.exists():
         write_text(kept, provenance.as_json() + "\n")
-    return CheckpointStore(folder / CHECKPOINT, provenance.identity)
+    return store
+
+
+def _refuse_fewer_steps(store: CheckpointStore, max_steps: int) -> None:
+    """A shorter fit would replace the one that these steps have made, perhaps a converged one."""
+    kept = steps_kept(store)
+    if max_steps < kept:
+        raise InputError(
+            str(store.folder),
+            f"max_steps of at least {kept}, the steps kept there",
+            str(max_steps),
+            f"use --max-steps {kept} or more (max_steps of [sampler]), or start anew with --force",
+        )
 
 
 def refuse_own_earlier(priors: Priors, folder: Path) -> None:
@@ -238,7 +278,8 @@ def execute(
     settings.walkers_for(len(inputs.model.space.names), f"{where}: sampler.walkers")
     provenance = provenance_of(run, inputs.digests, inputs.priors.spacecraft.digest, command)
     provenance = provenance.relative_to(base, folder)
-    store = open_folder(folder, run.model_dump(), provenance, force=force, resume=resume)
+    said, steps = run.model_dump(), settings.max_steps
+    store = open_folder(folder, said, provenance, force=force, resume=resume, max_steps=steps)
     if inputs.model.telemetry or inputs.model.effects:
         for sentence in observability(inputs.model).sentences:
             reporter.log(sentence)
@@ -282,8 +323,11 @@ def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> No
     Parameters
     ----------
     report
-        Whether to draw ``figures/`` and write ``report.html`` too.
+        Whether to draw ``figures/`` and write ``report.html`` too. Without them, those that are
+        there are removed: they may be of a shorter fit.
     """
+    if not report:
+        _remove(folder, (REPORT, FIGURES))
     log("tables")
     sections = sections_of(review)
     write_text(folder / "summary.csv", frame_csv(review.summary))
@@ -294,7 +338,7 @@ def write_results(review: Review, folder: Path, log: Log, *, report: bool) -> No
 
         log("figures and report")
         pictures = pictures_of(sections, cores())
-        save_pictures(pictures, folder / "figures")
+        save_pictures(pictures, folder / FIGURES)
         write_report(review, sections, pictures, folder / REPORT, _sweep_section(folder))
 
 

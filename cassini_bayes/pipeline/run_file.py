@@ -88,10 +88,13 @@ def read_run_file(path: Path, sampler: Mapping[str, int] = MappingProxyType({}))
     return check_run(table, str(path))
 
 
-def is_resolved(path: Path) -> bool:
-    """Whether a file is the settings of a run or diagnosis; a user may have one of its name."""
+def is_resolved(path: Path, own: str) -> bool:
+    """Whether a file is the settings of a run, or of a diagnosis: those with the key ``own``.
+
+    Both have the same name, and so may a file of a user's.
+    """
     try:
-        return {"events", "priors"} <= read_toml(path, "the record of a run").keys()
+        return {"events", "priors", own} <= read_toml(path, "the record of a run").keys()
     except InputError:
         return False
 

@@ -32,6 +32,8 @@ from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")
 """Channels that a fit of telemetry has observed."""
+COMMON: Final = "thrust_common_n"
+"""Level that all thrusters share: every fit of one branch has draws of it, none of a mission."""
 SAME_VALUE: Final = 1e-9  # relative: a fixed value through a file and back
 
 
@@ -111,9 +113,9 @@ def physics_of_fit(
     Raises
     ------
     InputError
-        The file is missing, is no fit, or was made of other events.
+        The file is missing, is no fit, is that of a mission, or was made of other events.
     """
-    needed = {"posterior": ("thrust_common_n",), "observed_data": ("event", "on_time_s")}
+    needed = {"posterior": (), "observed_data": ("event", "on_time_s")}
     path = fit if isinstance(fit, Path) else Path("fit")
     groups = (
         read_groups(fit, needed, "a fit.nc of this package")[0]
@@ -121,8 +123,9 @@ def physics_of_fit(
         else fit.groups
     )
     posterior = groups["posterior"]
+    check_one_branch(path, posterior)
     _check_events(model, path, groups["observed_data"])
-    chains, draws = posterior["thrust_common_n"].shape
+    chains, draws = posterior[COMMON].shape
     chosen = np.sort(rng.choice(chains * draws, min(size, chains * draws), False))
     values = {
         str(name): np.asarray(variable.values, dtype=float).reshape(
@@ -135,6 +138,24 @@ def physics_of_fit(
     values |= _held(model, groups["observed_data"], values, rng)
     wheels = posterior.coords["wheel"].values.tolist() if "wheel" in posterior.coords else []
     return _from_values(model, values, wheels, path)
+
+
+def check_one_branch(fit: Path, posterior: xr.Dataset) -> None:
+    """Refuse a fit of a mission: its thrusts change from event to event by laws of their own.
+
+    Raises
+    ------
+    InputError
+        The posterior has no common level of thrusters.
+    """
+    if COMMON not in posterior:
+        raise InputError(
+            str(fit),
+            "a fit of one branch",
+            f"one of a mission (no {COMMON} in its posterior)",
+            "predict and plan from a fit of that branch's events: fit EVENT... --priors FILE; "
+            "the forecast of a mission is that of trend",
+        )
 
 
 def _places(model: Model, posterior: xr.Dataset) -> list[int]:

@@ -32,7 +32,7 @@ from cassini_bayes.model.totals import DeltaVUse
 from cassini_bayes.prediction.beliefs import read_beliefs
 from cassini_bayes.prediction.demand import pair_layout
 from cassini_bayes.prediction.learning import Learned, learn
-from cassini_bayes.prediction.physics import physics_of_fit
+from cassini_bayes.prediction.physics import check_one_branch, physics_of_fit
 from cassini_bayes.priors.reader import Priors, read_priors, spacecraft_file_of
 from cassini_bayes.results.record import Fit
 
@@ -83,10 +83,10 @@ def read_sources(
     Raises
     ------
     InputError
-        The fit is missing, or its events, its priors, the earlier fit that these begin with or its
-        files of effects cannot be found unchanged; an effect of its that no file given has; a
-        layout of thrusters that prediction does not know; priors without what the totals of a
-        planned bias need.
+        The fit is missing, or is that of a mission; its events, its priors, the earlier fit that
+        these begin with or its files of effects cannot be found unchanged; an effect of its that no
+        file given has; a layout of thrusters that prediction does not know; priors without what the
+        totals of a planned bias need.
     """
     if not exists(fit):
         raise InputError(
@@ -97,6 +97,9 @@ def read_sources(
         )
     home = record_folder(fit)
     resolved = _resolved(home)
+    if not resolved:  # as beside a fit of a mission, which no --events or --priors make another
+        posterior = read_groups(fit, {"posterior": ()}, "a fit.nc of this package")[0]["posterior"]
+        check_one_branch(fit, posterior)
     record = str(home / RESOLVED)
     model_table = resolved.get("model", {})
     if not isinstance(model_table, dict):

@@ -25,6 +25,7 @@ from cassini_bayes.spacecraft.parameters import SOFTWARE
 
 HDI_PROBABILITY: Final = 0.90
 MM_PER_M: Final = 1e3
+CHANNEL_NOISE: Final = "delta_v_noise_m_s"
 WIDER: Final = 1.3  # than its prior, in standard normals: four hundred draws reach 1.1 by chance
 
 
@@ -233,7 +234,7 @@ def delta_v_table(model: Model, fit: Fit) -> pd.DataFrame:
     """Printed ΔV against the on-board computation, rows that declare a computed ΔV only.
 
     ``computed_sd_mm_s`` is the spread of the computation itself, ``noise_sd_mm_s`` that of the
-    printed figure about it.
+    printed figure about it: the root mean square over the posterior, since variances add.
     """
     columns = ["event", "printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s"]
     channels = [term.computed for term in model.totals if term.computed is not None]
@@ -247,9 +248,16 @@ def delta_v_table(model: Model, fit: Fit) -> pd.DataFrame:
         channel.printed_m_s * MM_PER_M,
         computed.mean(0),
         computed.std(0, ddof=1),
-        fit.posterior["delta_v_noise_m_s"].values.mean() * MM_PER_M,
+        _channel_noise_m_s(model, fit) * MM_PER_M,
     )
     return pd.DataFrame(dict(zip(columns, values, strict=True)))
+
+
+def _channel_noise_m_s(model: Model, fit: Fit) -> float:
+    """Root mean square over the posterior, or the value that the priors fix: that has no draws."""
+    if CHANNEL_NOISE in model.space.fixed:
+        return float(model.space.fixed[CHANNEL_NOISE])
+    return float(np.sqrt((fit.posterior[CHANNEL_NOISE].values ** 2).mean()))
 
 
 def event_table(events: Sequence[ReducedEvent], series: Sequence[EventSeries]) -> pd.DataFrame:

@@ -227,6 +227,24 @@ def next_check(step: int) -> int:
     return int(np.ceil(step * GROWTH))
 
 
+def steps_kept(store: CheckpointStore) -> int:
+    """Steps of the blocks that :func:`sample` would go on from.
+
+    Raises
+    ------
+    InputError
+        A checkpoint of another run.
+    """
+    steps, block = 0, 0
+    while (stored := store.load(_name(block))) is not None:
+        steps, block = steps + stored["z"].shape[1], block + 1
+    return steps
+
+
+def _name(block: int) -> str:
+    return f"block_{block:04d}"
+
+
 def sample(
     log_density: LogDensity,
     proposal: Proposal,
@@ -271,7 +289,7 @@ def sample(
     fresh_seconds, fresh_steps = 0.0, 0
     while True:
         began = time.monotonic()
-        stored = store.load(f"block_{block:04d}") if store else None
+        stored = store.load(_name(block)) if store else None
         if stored is None:
             advance = partial(_advance, proposal=proposal, steps=goal - step, settings=settings)
             results = in_lock_step(checked, [partial(advance, state=state) for state in states])
@@ -279,7 +297,7 @@ def sample(
             arrays = _pack(states, results)
             fresh_steps += goal - step
             if store:
-                store.save(f"block_{block:04d}", arrays)
+                store.save(_name(block), arrays)
         else:
             arrays = stored
             states = _unpack(arrays)

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import run_cases
-from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
+from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, RECORD, small_table
 
 from cassini_bayes import __version__
 from cassini_bayes.cli.fits import PLUS_MINUS
@@ -219,7 +219,7 @@ def test_folders_that_cannot_be_used(capsys: Captured, tmp_path: Path) -> None:
     run_file = str(run_cases.write_run(tmp_path))
     old = tmp_path / "old"
     (old / "checkpoint").mkdir(parents=True)
-    (old / "resolved.toml").write_text('events = ["e.csv"]\npriors = "p.toml"\n')
+    (old / "resolved.toml").write_text(RECORD)
     (old / "checkpoint" / "warmstart.npz").write_text("")
     message = refused(capsys, "run", run_file, "--out", str(old))
     assert "--resume" in message
@@ -241,7 +241,7 @@ def test_a_checkpoint_of_another_run(capsys: Captured, tmp_path: Path) -> None:
     """Blocks that belong to other inputs are refused even where the record was lost."""
     run_file, folder = run_cases.write_run(tmp_path), tmp_path / "small"
     (folder / "checkpoint").mkdir(parents=True)
-    (folder / "resolved.toml").write_text("")
+    (folder / "resolved.toml").write_text(RECORD)
     from cassini_bayes.files.checkpoint import CheckpointStore
 
     CheckpointStore(folder / "checkpoint", "other").save("warmstart", {})

@@ -126,6 +126,33 @@ def test_a_run_that_gave_up_goes_on(tmp_path: Path, capfd: pytest.CaptureFixture
     assert "max_steps = 120" in (tmp_path / "small" / "resolved.toml").read_text()
 
 
+def test_a_longer_fit_leaves_no_old_page_and_no_shorter_one_replaces_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Without a report the earlier one goes, and is not pointed to; fewer steps are refused."""
+    run_file, folder = run_cases.write_run(tmp_path), tmp_path / "small"
+    resume = ["run", str(run_file), "--resume", "--max-steps"]
+    assert run_cases.command(["run", str(run_file), "--quiet"]) == 1
+    (folder / "report.html").write_text("of the fit with 100 steps")
+    for name in ("figures", "sweep"):
+        (folder / name).mkdir()
+        (folder / name / "old.png").write_text("")
+    capfd.readouterr()
+    assert run_cases.command([*resume, "120"]) == 1
+    assert capfd.readouterr().out.splitlines()[-1] == str(folder / "summary.csv")
+    left = {path.name for path in folder.iterdir()}
+    assert left.isdisjoint({"report.html", "figures"})
+    assert "sweep" in left
+    before = {name: (folder / name).read_bytes() for name in ("fit.nc", "resolved.toml")}
+    assert run_cases.command([*resume, "110"]) == 2
+    error = capfd.readouterr().err
+    assert "max_steps of at least 120, the steps kept there, got 110" in error
+    assert "use --max-steps 120 or more" in error
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    assert run_cases.command([*resume, "120"]) == 1  # control: as many as there are
+    assert (folder / "fit.nc").read_bytes() == before["fit.nc"]
+
+
 def test_what_changed_is_not_resumed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from prediction_cases import write_earlier
-from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, small_table
+from run_cases import A_BRANCH, B_BRANCH, EVENTS, FLIGHT, RECORD, small_table
 
 import cassini_bayes as cb
 from cassini_bayes.computing.arviz_import import arviz, corner
 from cassini_bayes.errors import InputError
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.files.storage import digest
+from cassini_bayes.pipeline import diagnoses
 from cassini_bayes.pipeline.fits import result_of
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run import Outcome, execute, prepare_folder, refuse_own_earlier
@@ -32,8 +33,7 @@ from cassini_bayes.results.record import read_fit
 from cassini_bayes.sampling.ensembles import ProgressReport
 
 pytestmark = pytest.mark.usefixtures("short_warm_start")
-RECORD = 'events = ["e.csv"]\npriors = "p.toml"\n'
-"""What makes a folder a run's."""
+RECORD_OF_A_DIAGNOSIS = 'events = ["e.csv"]\npriors = "p.toml"\nown_effects = []\ngain = true\n'
 
 
 class Silent:
@@ -246,6 +246,34 @@ def test_a_file_of_the_same_name_makes_no_run(tmp_path: Path, force: bool, text:
         prepare_folder(tmp_path, force=force, resume=False)
     assert (tmp_path / "resolved.toml").read_text() == text
     assert (tmp_path / "figures" / "mine.png").exists()
+
+
+@pytest.mark.parametrize("how", [{}, {"force": True}, {"resume": True}])
+def test_runs_and_diagnoses_leave_each_other_alone(tmp_path: Path, how: dict[str, bool]) -> None:
+    """A diagnosis does not go into a run's folder, nor a run into that of a diagnosis."""
+    run, diagnosis = tmp_path / "run", tmp_path / "diagnosis"
+    for folder, record, result in (
+        (run, RECORD, "fit.nc"),
+        (diagnosis, RECORD_OF_A_DIAGNOSIS, "diagnosis.json"),
+    ):
+        folder.mkdir()
+        (folder / "resolved.toml").write_text(record)
+        (folder / result).write_text("days of work")
+    what = "to resume, got none there" if how.get("resume") else "something else; --force only"
+    with pytest.raises(InputError, match=what):
+        do(run_of(), diagnosis, **how)
+    with pytest.raises(InputError, match=what):
+        cb.diagnose(f"{FLIGHT}:{EVENTS[0]}", B_BRANCH, folder=run, **how)
+    assert (run / "resolved.toml").read_text() == RECORD
+    assert (diagnosis / "resolved.toml").read_text() == RECORD_OF_A_DIAGNOSIS
+    assert {path.name for path in tmp_path.glob("*/*")} == {
+        "resolved.toml", "fit.nc", "diagnosis.json"
+    }  # fmt: skip
+    if "force" in how:  # control: each replaces its own
+        prepare_folder(run, force=True, resume=False)
+        kind = {"result": "diagnosis.json", "written": diagnoses.WRITTEN}
+        prepare_folder(diagnosis, force=True, resume=False, own_key=diagnoses.OWN_KEY, **kind)
+        assert not list(tmp_path.glob("*/*"))
 
 
 def test_an_empty_folder_is_taken(tmp_path: Path) -> None:

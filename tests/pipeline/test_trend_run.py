@@ -44,6 +44,7 @@ branch = "B"
 pressure_kpa = 2000.0
 """
 IDS = ("2009-08-22-bias", "2009-10-05-bias", "2010-02-13-bias")
+PRIORS_OF_B = "cassini_b_branch_2010.toml"
 FIXED = ("inertia", "thruster", "rwa", "tail_", "cm_x", "cm_z")
 
 
@@ -221,9 +222,28 @@ def test_events_of_both_branches_in_one_fit(
     observed = fit.groups["observed_data"]["on_time_s"].values
     simulated = fit.groups["posterior_predictive"]["on_time_s"]
     assert simulated.shape[2:] == observed.shape
+    assert_nothing_is_planned_with_it(out, events, priors)
     for option in (["--effect", "thruster_leak:z3"], ["--force"], ["--resume"], ["--no-report"]):
         mixed = run.invoke(app, [*arguments, *option])
         assert "no option about effects" in str(mixed.exception)
+
+
+def assert_nothing_is_planned_with_it(mission: Path, events: Path, priors: Path) -> None:
+    """A fit of a mission has no quantity of plans, and predictions and plans say why."""
+    listed = cb.quantities(mission)
+    of_plans = {"thrust_level_z1_n", "thrust_mean_n", "impulse_per_on_time_z1_n"}
+    assert of_plans.isdisjoint(listed["name"])
+    assert set(listed["used_by"]) == {"summary"}
+    given = {"events": f"{events}:{IDS[0]}", "priors": str(ROOT / "priors" / PRIORS_OF_B)}
+    for where in ({}, {"events": str(events), "priors": str(priors)}, given):
+        with pytest.raises(InputError, match="expected a fit of one branch, got one of a mission"):
+            cb.predict(
+                mission, "rwa1: -1118 -> 626, rwa2: 1290 -> 1300, rwa4: 330 -> -729", **where
+            )
+        with pytest.raises(InputError, match="fit of that branch's events"):
+            cb.plan(mission, "thrust_mean_n", **where)
+    with pytest.raises(InputError):
+        cb.sweep(mission)
 
 
 def test_mistakes_in_a_mission_are_refused(tmp_path: Path, priors: Path) -> None:

@@ -26,6 +26,7 @@ from cassini_bayes.report.plots.corners import corner_figure
 from cassini_bayes.report.plots.criticism import MOST_NATS_LABELLED, nats_to_label
 from cassini_bayes.report.plots.powers import plain
 from cassini_bayes.report.plots.quantities import (
+    NORMAL_90,
     decimals_for,
     display_scale,
     interval,
@@ -211,6 +212,14 @@ def test_intervals_say_kind_and_probability(figures) -> None:
         texts = [figure.get_suptitle(), *(g.get_title().get_text() for g in figure.legends)]
         texts += [t.get_text() for legend in figure.legends for t in legend.get_texts()]
         assert any("90 %" in t and ("HDI" in t or "interval" in t) for t in texts), name
+
+
+def test_bars_of_delta_v_have_the_noise_of_the_table(review, figures) -> None:
+    """The thin bar of every event is as long as both standard deviations of its row together."""
+    table = review.delta_v
+    sd = np.hypot(table["computed_sd_mm_s"], table["noise_sd_mm_s"])
+    thin = figures["delta_v"].axes[1].collections[1].get_segments()
+    np.testing.assert_allclose(np.ptp(thin, axis=1)[:, 1], 2.0 * NORMAL_90 * sd, rtol=1e-9)
 
 
 def test_thrusters_keep_their_colour_and_twelve_differ() -> None:

@@ -1,12 +1,17 @@
-"""Tables of a run: which thrusts their priors disagree with."""
+"""Tables of a run: which thrusts their priors disagree with, and the noise of printed ΔV."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pytest
+from totals_cases import flight
 
+from cassini_bayes.model import build_model
+from cassini_bayes.results.groups import build_fit
 from cassini_bayes.results.tables import (
     conflict_sentences,
+    delta_v_table,
     moments,
     thrust_conflicts,
     wide_sentences,
@@ -57,3 +62,20 @@ def test_what_is_fixed_has_its_value_and_no_width() -> None:
     assert moments(np.full(9_999, 0.77)) == (0.77, 0.0)
     draws = np.random.default_rng(1).standard_normal(100)
     assert moments(draws) == (draws.mean(), draws.std(ddof=1))
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_the_noise_of_printed_delta_v_is_its_root_mean_square(fixed: bool) -> None:
+    """Of draws that differ by factors; of a value that the priors fix, which has none, itself."""
+    events, priors = flight(2)
+    if fixed:
+        priors = priors.with_fixed("delta_v_noise_m_s", 1e-4)
+    model, rng = build_model(events, priors), np.random.default_rng(2)
+    z = 0.3 * rng.standard_normal((1, 40, model.space.dimension))
+    fit = build_fit(model, z, np.zeros((1, 40)), rng, {}, 20)
+    assert ("delta_v_noise_m_s" in fit.posterior) != fixed
+    draws = model.space.to_parameters(z[0]) | model.space.fixed
+    noise = np.asarray(draws["delta_v_noise_m_s"])
+    expected = 1e3 * np.sqrt((noise**2).mean())
+    assert fixed or expected > 1.02e3 * noise.mean()
+    np.testing.assert_allclose(delta_v_table(model, fit)["noise_sd_mm_s"], expected, rtol=1e-12)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +25,6 @@ from cassini_bayes.results.review import Review
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CHANNEL_NOISE: Final = "delta_v_noise_m_s"
-MM_PER_M: Final = 1e3
-
 
 def delta_v_figure(review: Review) -> Figure:
     """Printed ΔV against the fit of the on-board computation.
@@ -37,14 +34,12 @@ def delta_v_figure(review: Review) -> Figure:
     """
     table = review.delta_v
     events = [str(e) for e in table["event"]]
-    printed, mean, sd = (
-        table[c].to_numpy(dtype=float)
-        for c in ("printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s")
-    )
+    columns = ("printed_mm_s", "computed_mean_mm_s", "computed_sd_mm_s", "noise_sd_mm_s")
+    printed, mean, sd, noise = (table[c].to_numpy(dtype=float) for c in columns)
     figure = new_figure(10.0, 4.6)
     values, differences = figure.subplots(1, 2)
     x, reach = np.arange(len(events)), NORMAL_90 * sd
-    scatter = NORMAL_90 * np.hypot(sd, _channel_noise_mm_s(review))
+    scatter = NORMAL_90 * np.hypot(sd, noise)
     for axes, zero in ((values, 0.0), (differences, mean)):
         axes.vlines(x, mean - zero - reach, mean - zero + reach, color=POSTERIOR, lw=6, alpha=0.4)
         axes.vlines(x, mean - zero - scatter, mean - zero + scatter, color=POSTERIOR, lw=1.2)
@@ -63,15 +58,6 @@ def delta_v_figure(review: Review) -> Figure:
     ]
     legend_below(figure, handles, ncols=3, title=f"bars: {NORMAL_INTERVAL}")
     return figure
-
-
-def _channel_noise_mm_s(review: Review) -> float:
-    """Root mean square of the noise of the ΔV channel over the posterior; 0 where it has none."""
-    for group in ("posterior", "constant_data"):
-        dataset = review.fit.groups[group]
-        if CHANNEL_NOISE in dataset:
-            return MM_PER_M * float(np.sqrt((dataset[CHANNEL_NOISE].values ** 2).mean()))
-    return 0.0
 
 
 def delta_v_thrust_figure(review: Review) -> Figure:
