@@ -88,6 +88,16 @@ def test_the_tutorial_names_the_cause_and_gains(
     assert cause["name"] == "thruster_degraded:z3"
     assert cause["probability"] > 0.95
     size = cause["parameters"]["thrust_factor"]
+    stated = re.search(
+        r"probability ([\d.]+) .*?delivers ([\d.]+) ± ([\d.]+) %",
+        PAGE.read_text("utf-8"),
+        re.DOTALL,
+    )
+    assert stated is not None
+    probability, mean, sd = map(float, stated.groups())
+    assert abs(cause["probability"] - probability) < 3e-4
+    assert abs(100.0 * size["mean"] - mean) < 0.2 * sd
+    assert 100.0 * size["sd"] == pytest.approx(sd, rel=0.1)
     assert abs(size["mean"] - TRUTH) < 3.0 * size["sd"]
     gain = record["extended"]["log_evidence"] - record["baseline"]["log_evidence"]
     assert gain > 10.0

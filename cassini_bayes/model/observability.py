@@ -107,14 +107,13 @@ def _quantities(
     model: Model, unknowns: Unknowns, covariance: Array, *, every_event: bool = False
 ) -> pd.DataFrame:
     """Thrust levels, thrusts of every event that fires if asked for, walked parameters."""
-    prior, stop = model.thrust_prior, unknowns.levels.stop
-    cases = [("all events", slice(stop, stop), prior.departures[:, :0])] if model.fires else []
+    stop = unknowns.levels.stop
+    cases = []
+    if model.fires:
+        levels = np.concatenate([_level_slopes(model), model.thrust_prior.shared], axis=1)
+        cases.append(("all events", slice(stop, stop), levels))
     if every_event:
-        cases += [
-            (event.id, places.departures, prior.departures)
-            for event, places in zip(model.events, unknowns.events, strict=True)
-            if event.fires
-        ]
+        cases += _thrusts_of_events(model, unknowns)
     thrusts = _thrust_rows(model, unknowns, covariance, cases)
     walked = _walked_rows(model, _expected(model, unknowns, covariance))
     return pd.DataFrame([*thrusts, *walked], columns=QUANTITY)
@@ -216,18 +215,42 @@ def _walked_rows(model: Model, expected: Array) -> list[dict[str, object]]:
     return rows
 
 
+def _thrusts_of_events(model: Model, unknowns: Unknowns) -> Iterator[tuple[str, slice, Array]]:
+    """Each event that fires, the places of its departures, and its thrusts' design.
+
+    Thrusts are those that acted, as in the fit's summary: f · level + departure, where effects act
+    with factors f, uncertain themselves.
+    """
+    points = model.points(_steps(model))
+    prior, slopes = model.thrust_prior, _level_slopes(model)
+    for term, events in zip(model.terms, model.events_of_term, strict=True):
+        own = _effect_slopes(model, term, points)
+        for place in range(events.start, events.stop):
+            by_walked, shared = slopes, prior.shared
+            if not model.events[place].fires:
+                continue
+            if own is not None:
+                factor, each = (of_term[place - events.start] for of_term in own)
+                by_walked = each + factor[:, None] * slopes if slopes.size else each
+                shared = factor[:, None] * shared
+            design = np.concatenate([by_walked, shared, prior.departures], axis=1)
+            yield model.events[place].id, unknowns.events[place].departures, design
+
+
 def _thrust_rows(
     model: Model,
     unknowns: Unknowns,
     covariance: Array,
     cases: Sequence[tuple[str, slice, Array]],
 ) -> list[dict[str, object]]:
-    """Thrust of every thruster in each case: its name, places and factor of its departures."""
+    """Thrust of every thruster in each case: its name, places of its departures, its design.
+
+    A design (K, ·) is by walked coordinates (or by none), shared levels and departures.
+    """
     rows: list[dict[str, object]] = []
-    prior, levels, slopes = model.thrust_prior, unknowns.levels, _level_slopes(model)
-    for event, departures, factor in cases:
-        index = np.r_[: slopes.shape[1], levels, departures]
-        design = np.concatenate([slopes, prior.shared, factor], axis=1)
+    for event, departures, design in cases:
+        linear = np.r_[unknowns.levels, departures]
+        index = np.r_[: design.shape[1] - len(linear), linear]
         after = np.einsum("kq,qr,kr->k", design, covariance[np.ix_(index, index)], design)
         before = (design**2).sum(1)
         for k, thruster in enumerate(model.thrusters):

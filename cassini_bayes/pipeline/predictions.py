@@ -50,6 +50,7 @@ from cassini_bayes.prediction.sources import (
     sources_of,
 )
 from cassini_bayes.prediction.summary import INTERVAL, as_csv, as_dictionary, as_text, lines
+from cassini_bayes.report.cells import percent
 from cassini_bayes.report.shown import html_of, with_interval
 from cassini_bayes.results.exchange import draws_as_inference_data
 from cassini_bayes.results.fitting import fit_warnings, stop_rule_held
@@ -279,12 +280,17 @@ def doubts(learned: Learned, within: Sequence[str], fit: Fit) -> tuple[str, ...]
 def beyond_trend(predictions: Sequence[Prediction], learned: Learned) -> tuple[str, ...]:
     """A sentence for every bias so far from the events that the trend leaves draws no thrust."""
     return tuple(
-        f"{own.request.id}: in {100.0 * own.powerless:.2g} % of the draws a thruster has no thrust "
-        f"left on {own.epoch.date()}: the trend of the printed thrust does not reach so far (last "
+        f"{own.request.id}: in {_share(own.powerless)} of the draws a thruster has no thrust left "
+        f"on {own.epoch.date()}: the trend of the printed thrust does not reach so far (last "
         f"event {learned.last_epoch.date()}), and the intervals mean nothing; give an earlier epoch"
         for own in predictions
         if own.powerless > 0.0
     )
+
+
+def _share(share: float) -> str:
+    """A positive share in whole per cent, never as none."""
+    return percent(share) if share >= 0.01 else "less than 1 %"
 
 
 def predict(

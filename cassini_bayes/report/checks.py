@@ -37,6 +37,7 @@ from cassini_bayes.report.plots.quantities import (
     INTERVAL,
     INTERVAL_SHORT,
     MISSING,
+    NORMAL_INTERVAL,
     display_scale,
     interval,
     number,
@@ -191,17 +192,17 @@ def predictive(review: Review) -> Iterator[Section]:
 
 def balance(review: Review) -> Iterator[Section]:
     """Momentum left over per event and axis."""
-    last = "; of telemetry events what is left at the last usable row"
+    recorded = len(review.model.telemetry)
     yield Section(
         Chapter.CHECKS,
         (
             Drawing(
                 "balance",
                 "Momentum left over per event and axis",
-                "Thruster impulse plus external torque minus the change of the wheels' momentum"
-                f"{last if review.model.telemetry else ''}. Symbols and bars: posterior mean and "
-                "90 % interval (mean ± 1.645 standard deviations). Grey: 90 % interval of the "
-                "noise that the model allows for (dead-band rates and attitudes, rounding).",
+                balance_caption(
+                    telemetry=recorded > 0,
+                    totals=review.balance["event"].nunique() > recorded,
+                ),
                 partial(balance_figure, review),
                 fold="Momentum left over, drawn",
             ),
@@ -210,6 +211,25 @@ def balance(review: Review) -> Iterator[Section]:
         title="Momentum balance",
         name="balance",
         frame=review.balance,
+    )
+
+
+def balance_caption(*, telemetry: bool, totals: bool) -> str:
+    """What is left over, and of what noise, for the kinds of events that there are."""
+    of_totals = (
+        "Thruster impulse plus external torque minus the change of the wheels' momentum; its noise "
+        "is of dead-band rates and attitudes and of rounding. "
+    )
+    of_telemetry = (
+        "Thruster impulse plus external torque up to the last usable row minus the momentum gained "
+        "by body and wheels until then; its noise is that of the channels in that row, of the "
+        "torque that wanders, and of what counters leave open. "
+    )
+    told = [f"Totals: {of_totals}", f"Telemetry: {of_telemetry}"]
+    what = "".join(told) if telemetry and totals else of_telemetry if telemetry else of_totals
+    return (
+        f"{what}Symbols and bars: posterior mean and {NORMAL_INTERVAL}. Grey: {NORMAL_INTERVAL} "
+        "of the noise that the model allows for."
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -9,10 +10,13 @@ from typing import TYPE_CHECKING, Final
 import pandas as pd
 
 from cassini_bayes.files.storage import write_text
-from cassini_bayes.report.cells import Table, flagged, signed, tabulate
+from cassini_bayes.report.cells import Cell, Table, flagged, signed, tabulate
+from cassini_bayes.report.plots.quantities import MISSING
 from cassini_bayes.report.templating import rendered, svg_address
+from cassini_bayes.sampling.warmstart import TRUSTED_K
 from cassini_bayes.sweep.scaling import EVENT, SENSITIVE
 from cassini_bayes.sweep.tables import SweepTables
+from cassini_bayes.sweep.weights import FEWEST_DRAWS, trusted_rows
 
 if TYPE_CHECKING:
     from cassini_bayes.report.plots import Figure
@@ -24,6 +28,7 @@ _BEFORE: Final = '<section>\n<h2 id="provenance">'
 _ENTRY: Final = '<li><a href="#sweep">How much the answer leans on its priors</a></li>\n'
 _ENTRY_BEFORE: Final = '<li><a href="#provenance">'
 STRONGEST: Final = 12
+CANNOT_SAY: Final = "the draws cannot say"
 
 
 def write_sweep_section(
@@ -77,6 +82,8 @@ def render_section(
         conflicts=int((tables.conflict["verdict"] == "conflict").sum()),
         scaling=scaling_table(tables.scaling, names),
         sensitive=SENSITIVE,
+        trusted_k=TRUSTED_K,
+        fewest_draws=FEWEST_DRAWS,
         refits=int((cells_of(tables.sweep)["estimate"] != "reweighted").sum()),
     )
 
@@ -87,42 +94,88 @@ def cells_of(sweep: pd.DataFrame) -> pd.DataFrame:
 
 
 def strongest_sentence(sweep: pd.DataFrame) -> str:
-    """The change of a prior that moves any quantity most."""
-    shown = sweep[sweep["reported"] & (sweep["kind"] != "without")]
+    """The change of a prior that moves any quantity most, and of how many the draws cannot say."""
+    shown = _changes(sweep)
     if shown.empty:
         return "No prior was changed."
-    if shown["shift_sd"].isna().all():
-        return 'The draws reach none of the changed priors: fit them anew (refit = "auto").'
-    row = shown.loc[shown["shift_sd"].abs().idxmax()]
+    trusted = trusted_rows(shown) & shown["shift_sd"].notna()
+    if not trusted.any():
+        return (
+            "The draws cannot say what any of the changed priors does: fit them anew "
+            '(refit = "auto").'
+        )
+    row = shown.loc[shown["shift_sd"].where(trusted).abs().idxmax()]
     return (
         f"The change that moves an answer most is {row['group']}, {row['change']}: "
-        f"{row['quantity']} moves by {_shift(row)} of its posterior standard deviation, and its "
-        f"interval is {row['width_ratio']:.2f} ± {row['width_error']:.2f} times as wide."
+        f"{row['quantity']} moves by {_shift(row)} of its posterior standard deviation, which is "
+        f"then {_width(row)} times as large.{_left_out(cells_of(shown))}"
+    )
+
+
+def _left_out(cells: pd.DataFrame) -> str:
+    """A sentence, after a blank, about the cells whose weights cannot be trusted."""
+    count = int((~trusted_rows(cells)).sum())
+    if not count:
+        return ""
+    return (
+        f" The draws cannot say what {count} of the {len(cells)} changes do; they are not ranked: "
+        'fit them anew (refit = "auto").'
     )
 
 
 def changes_table(sweep: pd.DataFrame) -> Table:
-    """The cells that move some quantity most, one row each, with what they do to it."""
-    shown = sweep[sweep["reported"] & sweep["shift_sd"].notna() & (sweep["kind"] != "without")]
-    strongest = shown.loc[
-        shown.assign(size=shown["shift_sd"].abs()).groupby(["group", "change"])["size"].idxmax()
+    """The cells that move some quantity most, one row each, with what they do to it.
+
+    After them, without numbers, all those whose weights cannot be trusted.
+    """
+    shown = _changes(sweep)
+    trusted = trusted_rows(shown)
+    ranked = shown[trusted & shown["shift_sd"].notna()]
+    strongest = ranked.loc[
+        ranked.assign(size=ranked["shift_sd"].abs()).groupby(["group", "change"])["size"].idxmax()
     ]
     order = strongest["shift_sd"].abs().sort_values(ascending=False).index[:STRONGEST]
+    numbers = ["shift_sd", "shift_error", "width_ratio", "width_error"]
+    left_out = cells_of(shown[~trusted]).assign(
+        quantity=CANNOT_SAY, **dict.fromkeys(numbers, math.nan)
+    )
     return tabulate(
-        strongest.loc[order],
+        pd.concat([strongest.loc[order], left_out]) if len(left_out) else strongest.loc[order],
         {
             "changed prior": lambda row: f"{row['group']}: {row['change']}",
-            "quantity it moves most": "quantity",
+            "quantity it moves most": _quantity,
             "shift of the mean [posterior sd]": _shift,
-            "ratio of sd": lambda row: f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}",
+            "ratio of sd": _width,
             "estimate": "estimate",
-            "Pareto k̂": lambda row: flagged(signed(row["pareto_k"], "z.2f"), row["pareto_k"] > 0.7),
+            "Pareto k̂": lambda row: flagged(
+                signed(row["pareto_k"], "z.2f"), row["pareto_k"] > TRUSTED_K
+            ),
+            "effective draws": lambda row: flagged(
+                f"{row['effective_draws']:.0f}", row["effective_draws"] < FEWEST_DRAWS
+            ),
         },
     )
 
 
+def _changes(sweep: pd.DataFrame) -> pd.DataFrame:
+    """The reported rows of changed priors, without those of events left out."""
+    return sweep[sweep["reported"] & (sweep["kind"] != "without")]
+
+
+def _quantity(row: pd.Series) -> Cell:
+    return flagged(row["quantity"], row["quantity"] == CANNOT_SAY)
+
+
 def _shift(row: pd.Series) -> str:
+    if math.isnan(row["shift_sd"]):
+        return MISSING
     return f"{signed(row['shift_sd'], '+.2f')} ± {row['shift_error']:.2f}"
+
+
+def _width(row: pd.Series) -> str:
+    if math.isnan(row["width_ratio"]):
+        return MISSING
+    return f"{row['width_ratio']:.2f} ± {row['width_error']:.2f}"
 
 
 def scaling_table(scaling: pd.DataFrame, names: Sequence[str]) -> Table:

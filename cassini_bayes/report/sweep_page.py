@@ -51,7 +51,7 @@ sensitivity](../topics/prior-sensitivity.md). Every cell and quantity: [{stem}.c
 {pictures["tornado_1"]}
 
 {names[0]}: shift of the mean and ratio of standard deviations; filled symbols are weighted draws,
-open ones new fits.
+open ones new fits, grey crosses weighted draws that cannot say.
 
 {pictures["overlay_1"]}
 
@@ -71,7 +71,8 @@ def _evidence(tables: SweepTables, names: Sequence[str]) -> str:
     """The caption of the worth of knowledge, and the sections on conflict and power scaling."""
     sentences = "\n".join(f"* {sentence}" for sentence in tables.conflict["sentence"])
     return f"""Above: expected change of each standard deviation if the parameters of a block were
-known perfectly. Below: its change without an event.
+known perfectly. Below: its change without an event, empty where the draws
+cannot say.
 
 ## Do prior and data disagree?
 

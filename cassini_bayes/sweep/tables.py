@@ -42,12 +42,13 @@ def tables_of(sweep: Sweep, store: CheckpointStore, factory: ModelFactory, fit: 
     cells = sweep_table(sweep, store)
     left_out = cells[(cells["kind"] == "without") & cells["reported"]]
     worth = left_out.assign(event=left_out["change"].str.removeprefix("without "))
-    columns = ["event", "quantity", "unit", "estimate", "pareto_k", "shift_sd", "shift_error"]
+    columns = ["event", "quantity", "unit", "estimate", "pareto_k", "effective_draws"]
+    numbers = ["shift_sd", "shift_error", "width_ratio", "width_error"]
     return SweepTables(
         baseline=baseline_table(sweep),
         sweep=cells,
         scaling=power_scaling(components(fit), names, values, units),
         knowledge=knowledge_table(blocks, chains, names, values, units),
-        data_worth=worth[[*columns, "width_ratio", "width_error"]].reset_index(drop=True),
+        data_worth=worth[[*columns, *numbers]].reset_index(drop=True),
         conflict=conflict_table(blocks, fit),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
@@ -57,6 +58,11 @@ class Change:
     shift_error: Array
     width: Array
     width_error: Array
+
+
+def trusted_rows(table: pd.DataFrame) -> pd.Series:
+    """Which rows of a sweep's table can be relied upon, by the rule of :attr:`Weights.trusted`."""
+    return (table["pareto_k"] <= TRUSTED_K) & (table["effective_draws"] >= FEWEST_DRAWS)
 
 
 def equal_weights(n: int) -> Weights:

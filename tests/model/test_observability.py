@@ -10,10 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import tomli_w
-from event_cases import PRIORS, events, model
+from event_cases import PRIORS, events, model, priors
 from totals_cases import flight
 
+from cassini_bayes.effects.catalogue import named_effects
 from cassini_bayes.model import build_model, log_posterior
+from cassini_bayes.model.draws import draw, draw_prior
 from cassini_bayes.model.observability import _information, event_worth, observability
 from cassini_bayes.priors.reader import read_priors
 from cassini_bayes.sampling.warmstart import warm_start
@@ -88,6 +90,40 @@ def test_an_event_is_worth_what_a_model_without_it_lacks() -> None:
         assert len(shared) > 15
         np.testing.assert_allclose(own[shared], 1.0 - both[shared] / alone[shared], atol=1e-6)
         assert own[shared].max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["thruster_degraded:z3", "thrust_scale"])
+def test_thrusts_of_events_are_those_with_effects(name: str) -> None:
+    """Prior and expected widths of an event's thrusts have the effect's factor, as draws have.
+
+    From the onset on; before it, and for levels, there is none.
+    """
+    rows, priors = flight()
+    ids = [event.id for event in rows]
+    (effect,) = named_effects([f"{name}@{ids[5]}"], priors, priors.wheels, ["totals"], order=ids)
+    joint = build_model(rows, priors, delta_v="ignore", effects=[effect])
+    table = observability(joint).table.set_index("quantity")
+    rng, n = np.random.default_rng(1), 4_000
+    density = partial(log_posterior, joint)
+    warm = warm_start(density, joint.space.dimension, rng)
+    before = draw_prior(joint, n, rng).thrusts.thrust_n.std(0)
+    after = draw(joint, warm.draws.resample(rng, n), rng).thrusts.thrust_n.std(0)
+    for i in (4, 5):
+        own = table.loc[[f"thrust[{ids[i]},{k}]" for k in joint.thrusters]]
+        np.testing.assert_allclose(own["prior_sd"], before[i], rtol=0.08)
+        np.testing.assert_allclose(own["expected_sd"], after[i], rtol=0.12)
+    grown = table["prior_sd"][f"thrust[{ids[5]},z3]"] / table["prior_sd"][f"thrust[{ids[4]},z3]"]
+    assert grown > 1.5
+
+
+def test_thrusts_of_a_recording_are_those_with_effects() -> None:
+    """The same of telemetry, whose effects are of a term of one event."""
+    (effect,) = named_effects(["thruster_degraded:z3"], priors(), priors().wheels, ["telemetry"])
+    joint = build_model(events("bias"), priors(), effects=[effect])
+    table = observability(joint).table.set_index("quantity")
+    drawn = draw_prior(joint, 4_000, np.random.default_rng(1)).thrusts.thrust_n[:, 0].std(0)
+    own = table.loc[[f"thrust[bias,{k}]" for k in joint.thrusters], "prior_sd"]
+    np.testing.assert_allclose(own, drawn, rtol=0.08)
 
 
 def test_fixed_departures_of_thrust_change_nothing_of_what_is_shared(tmp_path: Path) -> None:

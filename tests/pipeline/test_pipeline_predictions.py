@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from prediction_cases import write_run_folder
 from totals_cases import B_BRANCH
 
 import cassini_bayes as cb
 from cassini_bayes.errors import InputError
+from cassini_bayes.pipeline.predictions import beyond_trend
 from cassini_bayes.prediction.requests import BiasRequest
 
 
@@ -98,9 +101,20 @@ def test_an_epoch_beyond_the_trend_is_doubted(fit: Path) -> None:
     share = far.predictions[0].powerless
     assert 0.0 < share < 1.0
     assert any(
-        sentence.startswith(f"planned: in {100.0 * share:.2g} % of the draws")
+        sentence.startswith(f"planned: in {100.0 * share:.0f} % of the draws")
         for sentence in far.warnings
     )
+
+
+def test_a_share_of_draws_is_whole_per_cent_and_never_none() -> None:
+    """All draws are 100 %, and a few of thousands not 0 %."""
+    learned = SimpleNamespace(last_epoch=pd.Timestamp("2010-03-29"))
+    for share, said in ((1.0, "100 %"), (0.23, "23 %"), (2e-4, "less than 1 %")):
+        own = SimpleNamespace(
+            powerless=share, request=SimpleNamespace(id="x"), epoch=pd.Timestamp("2200-01-01")
+        )
+        (sentence,) = beyond_trend([own], learned)  # type: ignore[list-item, arg-type]
+        assert sentence.startswith(f"x: in {said} of the draws a thruster has no thrust left on")
 
 
 def test_a_seed_of_numpy_is_written_as_a_number(fit: Path) -> None:

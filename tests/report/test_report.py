@@ -24,6 +24,7 @@ from cassini_bayes.report import (
     write_tables,
 )
 from cassini_bayes.report import sections as registry
+from cassini_bayes.report.checks import balance_caption
 from cassini_bayes.report.page import Chapter, Paragraph, Section
 from cassini_bayes.report.verdict import NOT_CONVERGED
 from cassini_bayes.results.review import Review
@@ -320,3 +321,13 @@ def test_the_headline_is_big_enough_for_a_phone_only_when_enlarged(html: str) ->
     assert not re.findall(r"#figure-[\w-]+ img", html)  # would hold for the enlarged one, too
     assert "overflow-x: auto" in html
     assert 'name="viewport"' in html
+
+
+def test_the_balance_is_explained_for_the_events_that_there_are() -> None:
+    """Of telemetry the body's momentum and channel noise are named, of totals the dead-band."""
+    recorded = balance_caption(telemetry=True, totals=False)
+    assert "body and wheels" in recorded
+    assert "dead-band" not in recorded
+    assert "body and wheels" not in balance_caption(telemetry=False, totals=True)
+    both = balance_caption(telemetry=True, totals=True)
+    assert both.index("Totals: ") < both.index("dead-band") < both.index("Telemetry: ")

@@ -127,7 +127,7 @@ def balance_figure(review: Review) -> Figure:
         axes.set_title(f"body axis {name}", loc="left", fontweight="bold")
         axes.set_ylabel("momentum left over [N m s]")
         axes.yaxis.label.set_visible(axes is panels[0])
-    headline(figure, "Momentum balance: thruster impulse plus torque minus the wheels' change")
+    headline(figure, "Momentum balance: thruster impulse plus torque minus the momentum gained")
     posterior = {"color": POSTERIOR, "marker": "o", "mfc": "white", "lw": 2.2}
     noise = f"noise the model allows for, {NORMAL_INTERVAL}"
     handles = [

@@ -16,6 +16,7 @@ from cassini_bayes.computing.arrays import Array
 from cassini_bayes.report.plots.panels import PANELS_ACROSS, some_panels
 from cassini_bayes.report.plots.quantities import Scale, display_scale, short_events, short_name
 from cassini_bayes.report.plots.style import INK, legend_below, styled_figure, symbol
+from cassini_bayes.sweep.weights import trusted_rows
 
 KNOBS_SHOWN: Final = 16  # rows of a tornado on one page
 _GRID: Final = 300  # points of a curve
@@ -25,6 +26,7 @@ _SIZES: Final = (3.5, 4.8, 6.2, 7.6)  # of markers, in points: wider priors are 
 _LINES: Final = ("#4477AA", "#66CCEE", "#CCBB44", "#EE6677", "#AA3377", "#228833", "#BBBBBB")
 _FAMILY_MARKERS: Final = {"normal": "o", "student-t": "D", "uniform": "s"}
 _KIND_COLOURS: Final = {"width": "#4477AA", "shift": "#CC6677", "family": "#228833"}
+_UNTRUSTED: Final = ("x", "#888888")  # marker and colour of what the draws cannot say
 _ENDS: Final = {"width": "width", "shift": "centre", "family": "family"}
 
 
@@ -33,7 +35,8 @@ def tornado_figure(table: pd.DataFrame, quantity: str) -> Figure:
 
     ``table`` is the sweep's table (reported rows are shown). One row per knob: widths of a group,
     families of a group, the centre of one parameter. Filled symbols are weighted draws, open ones
-    new fits; bars are one Monte Carlo standard error.
+    new fits; bars are one Monte Carlo standard error. Grey crosses are weights that cannot be
+    trusted: they neither make a bar longer nor lift a row.
     """
     rows = table[(table["quantity"] == quantity) & table["reported"] & (table["kind"] != "without")]
     knobs = _knobs(rows)
@@ -67,14 +70,16 @@ def _knobs(rows: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
             np.abs(cells["shift_sd"]) - cells["shift_error"],
             np.abs(np.log(cells["width_ratio"])) - cells["width_error"],
         )
-        strength = float(np.fmax.reduce(either, initial=-np.inf))  # NaN: draws reach no cell
+        said = either[trusted_rows(cells)]
+        strength = float(np.fmax.reduce(said, initial=-np.inf))  # NaN: draws reach no cell
         result.append((strength, f"{name}: {_ENDS[str(kind)]}", cells))
     result.sort(key=lambda knob: -knob[0])
     return [(label, cells) for _, label, cells in result[:KNOBS_SHOWN]]
 
 
 def _draw_knob(axes: Axes, y: float, cells: pd.DataFrame, value: str, error: str) -> None:
-    values = cells[value].to_numpy(dtype=float)
+    trusted = trusted_rows(cells).to_numpy()
+    values = cells[value].to_numpy(dtype=float)[trusted]
     kind = str(cells["kind"].iloc[0])
     colour = _KIND_COLOURS[kind]
     neutral = 0.0 if value == "shift_sd" else 1.0
@@ -82,6 +87,9 @@ def _draw_knob(axes: Axes, y: float, cells: pd.DataFrame, value: str, error: str
     axes.hlines(y, reach.min(), reach.max(), color=colour, lw=7, alpha=0.25, zorder=2)
     for i, (_, cell) in enumerate(cells.iterrows()):
         marker, size = _symbol(kind, str(cell["change"]), i)
+        if not trusted[i]:
+            axes.plot(cell[value], y, ls="", marker=_UNTRUSTED[0], ms=size, color=_UNTRUSTED[1])
+            continue
         anew = str(cell["estimate"]) != "reweighted"
         axes.errorbar(
             cell[value], y, xerr=cell[error], color=colour, marker=marker, ms=size, lw=0.9,
@@ -105,6 +113,8 @@ def _tornado_legend(rows: pd.DataFrame) -> list[Line2D]:
     if (rows["kind"] == "shift").any():
         known += [("shift", "-", "centre moved down"), ("shift", "+", "centre moved up")]
     known += [("family", label, label) for label in families]
+    crosses = ~trusted_rows(rows) & rows["shift_sd"].notna()
+    untrusted = [symbol(_UNTRUSTED[0], 5.0, _UNTRUSTED[1], "draws cannot say")]
     return [
         *(
             symbol(*_symbol(kind, change, i), _KIND_COLOURS[kind], label)
@@ -112,6 +122,7 @@ def _tornado_legend(rows: pd.DataFrame) -> list[Line2D]:
         ),
         symbol("o", 5.0, INK, "weighted draws"),
         symbol("o", 5.0, INK, "fitted anew", hollow=True),
+        *(untrusted if crosses.any() else []),
     ]
 
 
@@ -203,7 +214,10 @@ def _overlay_panel(
 
 
 def worth_figure(knowledge: pd.DataFrame, worth: pd.DataFrame) -> Figure | None:
-    """How much narrower intervals get with perfect knowledge, and wider without an event, in %."""
+    """How much standard deviations shrink with perfect knowledge, and grow without an event, in %.
+
+    Of events whose weights cannot be trusted nothing is shown.
+    """
     blocks = knowledge[knowledge["level"] == "block"]
     quantities = list(dict.fromkeys(blocks["quantity"]))
     if not quantities:
@@ -211,7 +225,8 @@ def worth_figure(knowledge: pd.DataFrame, worth: pd.DataFrame) -> Figure | None:
     left_table = -100.0 * (1.0 - _grid(blocks, "known", quantities))
     parts: list[tuple[str, pd.DataFrame]] = [("known perfectly", left_table)]
     if not worth.empty:
-        parts.append(("left out", 100.0 * (_grid(worth, "event", quantities) - 1.0)))
+        said = worth.assign(width_ratio=worth["width_ratio"].where(trusted_rows(worth)))
+        parts.append(("left out", 100.0 * (_grid(said, "event", quantities) - 1.0)))
     rows = sum(len(part) for _, part in parts)
     with styled_figure(max(7.0, 2.6 + 0.62 * len(quantities)), 1.9 + 0.27 * rows) as figure:
         panels = figure.subplots(
@@ -232,7 +247,7 @@ def _grid(table: pd.DataFrame, index: str, quantities: Sequence[str]) -> pd.Data
 
 def _heat(axes: Axes, title: str, part: pd.DataFrame) -> None:
     values = part.to_numpy(dtype=float)
-    reach = max(10.0, float(np.nanmax(np.abs(values))))
+    reach = float(np.fmax.reduce(np.abs(values), axis=None, initial=10.0))
     axes.imshow(values, cmap="PuOr", vmin=-reach, vmax=reach, aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value):
@@ -245,7 +260,7 @@ def _heat(axes: Axes, title: str, part: pd.DataFrame) -> None:
     names = short_events([str(name) for name in part.index], longest=24)
     axes.set_yticks(range(len(names)), names)
     axes.tick_params(length=0)
-    axes.set_title(f"change of the interval's width [%], {title}", loc="left")
+    axes.set_title(f"change of the standard deviation [%], {title}", loc="left")
     for spine in axes.spines.values():
         spine.set_visible(False)
 
@@ -259,7 +274,8 @@ def sweep_figures(
 ) -> dict[str, Figure]:
     """Every figure of a sweep by name: ``worth``, then ``tornado_1``, ``overlay_1`` … in order.
 
-    A figure that would be empty is left out.
+    A figure that would be empty is left out, and so are changes that the draws cannot say from
+    the overlays.
 
     base: quantity → (unit, draws (n,)); quantiles: (group, kind, label, quantity → (199,)).
     """
@@ -267,10 +283,17 @@ def sweep_figures(
     together = worth_figure(knowledge, worth)
     if together is not None:
         result["worth"] = together
+    reported = table[table["reported"]]
+    trusted = reported[trusted_rows(reported)]
+    said = set(zip(trusted["group"], trusted["change"], strict=True))
     for i, (quantity, (unit, draws)) in enumerate(base.items(), start=1):
         if ((table["kind"] != "without") & table["reported"] & table["shift_sd"].notna()).any():
             result[f"tornado_{i}"] = tornado_figure(table, quantity)
-        cells = [(group, kind, label, line[quantity]) for group, kind, label, line in quantiles]
+        cells = [
+            (group, kind, label, line[quantity])
+            for group, kind, label, line in quantiles
+            if (group, label) in said
+        ]
         if any(_laid_over(cell) for cell in cells):
             result[f"overlay_{i}"] = overlay_figure(quantity, unit, draws, cells)
     return result

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cassini_bayes.computing.arrays import Array
-from cassini_bayes.report.plots.quantities import NORMAL_90
+from cassini_bayes.report.plots.quantities import NORMAL_90, NORMAL_INTERVAL
 from cassini_bayes.report.plots.style import (
     INK,
     POSTERIOR,
@@ -49,7 +49,7 @@ def series_figure(series: EventSeries) -> Figure:
     panels[1, 0].set_ylabel("measured − predicted [N m s]")
     thinned = f", every {_ordinal(series.every)} row" if series.every > 1 else ""
     headline(figure, f"{series.event} ({series.kind}): angular momentum balance{thinned}")
-    legend_below(figure, _legend(), ncols=4)
+    legend_below(figure, _legend(), ncols=2)
     return figure
 
 
@@ -87,6 +87,6 @@ def _legend() -> list[Handle]:
     return [
         symbol(".", 6, MEASURED, "measured"),
         line(color=POSTERIOR, lw=1.4, label="predicted, posterior mean"),
-        patch(facecolor=POSTERIOR, alpha=0.2, label="prediction, 90 % interval"),
-        patch(facecolor=BAND, label="noise of a row, 90 % interval"),
+        patch(facecolor=POSTERIOR, alpha=0.2, label=f"prediction with noise: {NORMAL_INTERVAL}"),
+        patch(facecolor=BAND, label=f"noise of a row: {NORMAL_INTERVAL}"),
     ]
