@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import (
     Chunk,
+    Mends,
     event_from_frame,
     load_event,
     read_chunks,
@@ -250,12 +251,13 @@ def test_intervals_add_up_over_chunks(counts: list[int], rows: int) -> None:
     from cassini_bayes.events.telemetry.clocks import Line
     from cassini_bayes.events.telemetry.mapped import MappedTable
     from cassini_bayes.events.telemetry.memory import MemoryTable
-    from cassini_bayes.events.telemetry.mends import Mends
 
     values = np.array(counts, dtype=float)
     values[::3] = np.nan
-    table = MemoryTable("memory", {"n": values})
-    mapped = MappedTable(table, [Column("pulses_z1", 0, Line(1.0, 0.0), per_interval=True)])
+    table = MemoryTable("memory", {"n": values, "t": np.arange(values.size, dtype=float)})
+    line = Line(1.0, 0.0)
+    columns = [Column("pulses_z1", 0, line, per_interval=True), Column("time_s", 1, line)]
+    mapped = MappedTable(table, columns)
     found = np.concatenate([b.cells[0] for b in mapped.blocks(rows, Mends())])
     sums = pd.Series(values).cumsum().to_numpy()  # pandas skips NaN and keeps it in its place
     np.testing.assert_array_equal(found, sums)
@@ -536,6 +538,25 @@ def test_wheels_may_be_any_sequence_in_python(wheels: Any) -> None:
     """A tuple or an array is as good as a list."""
     event = event_from_frame(own_frame(), {**DESCRIPTION, "wheels": wheels}, CASSINI)
     assert event.wheels == (1, 2, 4)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 5, 100_000])
+def test_a_row_that_is_repeated_counts_once(rows: int) -> None:
+    """Counts per interval of a repeated row are dropped with it, whether or not any fired."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    assert frame.loc[4, "N_z1"] == 1.0
+    twice = frame.loc[sorted([*range(40), 0, 1, 4, 4, 5, 39])]
+    mends = Mends()
+    event = event_from_frame(twice, DESCRIPTION, CASSINI, MAP)
+    chunks = list(read_chunks(event, CASSINI, rows, mends))
+    for name in ("time_s", "on_time_s", "pulses"):
+        found = np.concatenate([getattr(chunk, name) for chunk in chunks])
+        np.testing.assert_allclose(found, getattr(expected(own), name), atol=1e-9)
+    assert [(mend.kind, mend.count) for mend in mends.found] == [("duplicate_row", 6)]
+    other = pd.concat([frame.loc[:4], frame.loc[[4]].assign(N_z1=2.0), frame.loc[5:]])
+    with pytest.raises(InputError, match=r"row 6, .*the same time again, 4 s, with other values"):
+        read_rows(other, rows)
 
 
 def read_rows(frame: pd.DataFrame, rows: int = 100_000) -> list[Chunk]:
