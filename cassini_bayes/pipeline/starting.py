@@ -28,7 +28,6 @@ from cassini_bayes.files.checks import in_utc, nearest
 from cassini_bayes.files.reading import exists
 from cassini_bayes.files.storage import write_text
 from cassini_bayes.files.toml_file import toml_of
-from cassini_bayes.priors.reader import known_parameters
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
 from cassini_bayes.spacecraft.parameters import ParameterSpec
 
@@ -159,10 +158,9 @@ def _priors(start: Start, folder: Path) -> str:
     named = f'name = "{start.reference}"'
     if start.is_file:
         named = f"file = {_path_from(folder, Path(start.reference))}"
-    geometry = start.spacecraft.geometry_of(start.branch).parameters
-    needed = dict.fromkeys((*geometry, *start.spacecraft.wheel_parameters(start.wheels)))
-    known = known_parameters(start.spacecraft)
-    tables = [_placeholder(known[name]) for name in needed]
+    # angles of platforms are left out: one that is given turns its platform, and needs its wheel
+    angles = {w.platform.parameter for w in start.spacecraft.wheels if w.platform is not None}
+    tables = [_placeholder(p) for p in start.spacecraft.parameters if p.name not in angles]
     return "\n".join(
         [
             "# Placeholders, which fit no spacecraft: `check` names those that are left.\n"

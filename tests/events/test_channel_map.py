@@ -19,7 +19,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cassini_bayes.errors import InputError
-from cassini_bayes.events.telemetry import Chunk, event_from_frame, load_event, read_event
+from cassini_bayes.events.telemetry import (
+    Chunk,
+    Mends,
+    event_from_frame,
+    load_event,
+    read_chunks,
+    read_event,
+)
 
 EPOCH = "2010-02-13T12:00:00"
 CHANNELS = ("time_s", "attitude", "rate_rad_s", "wheel_rpm", "on_time_s", "pulses")
@@ -244,12 +251,13 @@ def test_intervals_add_up_over_chunks(counts: list[int], rows: int) -> None:
     from cassini_bayes.events.telemetry.clocks import Line
     from cassini_bayes.events.telemetry.mapped import MappedTable
     from cassini_bayes.events.telemetry.memory import MemoryTable
-    from cassini_bayes.events.telemetry.mends import Mends
 
     values = np.array(counts, dtype=float)
     values[::3] = np.nan
-    table = MemoryTable("memory", {"n": values})
-    mapped = MappedTable(table, [Column("pulses_z1", 0, Line(1.0, 0.0), per_interval=True)])
+    table = MemoryTable("memory", {"n": values, "t": np.arange(values.size, dtype=float)})
+    line = Line(1.0, 0.0)
+    columns = [Column("pulses_z1", 0, line, per_interval=True), Column("time_s", 1, line)]
+    mapped = MappedTable(table, columns)
     found = np.concatenate([b.cells[0] for b in mapped.blocks(rows, Mends())])
     sums = pd.Series(values).cumsum().to_numpy()  # pandas skips NaN and keeps it in its place
     np.testing.assert_array_equal(found, sums)
@@ -532,15 +540,102 @@ def test_wheels_may_be_any_sequence_in_python(wheels: Any) -> None:
     assert event.wheels == (1, 2, 4)
 
 
+@pytest.mark.parametrize("rows", [1, 3, 5, 100_000])
+def test_a_row_that_is_repeated_counts_once(rows: int) -> None:
+    """Counts per interval of a repeated row are dropped with it, whether or not any fired."""
+    own = own_frame()
+    frame = foreign_frame(own)
+    assert frame.loc[4, "N_z1"] == 1.0
+    twice = frame.loc[sorted([*range(40), 0, 1, 4, 4, 5, 39])]
+    mends = Mends()
+    event = event_from_frame(twice, DESCRIPTION, CASSINI, MAP)
+    chunks = list(read_chunks(event, CASSINI, rows, mends))
+    for name in ("time_s", "on_time_s", "pulses"):
+        found = np.concatenate([getattr(chunk, name) for chunk in chunks])
+        np.testing.assert_allclose(found, getattr(expected(own), name), atol=1e-9)
+    assert [(mend.kind, mend.count) for mend in mends.found] == [("duplicate_row", 6)]
+    other = pd.concat([frame.loc[:4], frame.loc[[4]].assign(N_z1=2.0), frame.loc[5:]])
+    with pytest.raises(InputError, match=r"row 6, .*the same time again, 4 s, with other values"):
+        read_rows(other, rows)
+
+
+def read_rows(frame: pd.DataFrame, rows: int = 100_000) -> list[Chunk]:
+    """All chunks of a frame of counts per interval."""
+    return list(read_chunks(event_from_frame(frame, DESCRIPTION, CASSINI, MAP), CASSINI, rows))
+
+
 def test_counts_per_interval_are_lost_with_a_row(tmp_path: Path) -> None:
     """A row that is missing takes its counts with it: refused. Another cadence has them all."""
     frame = foreign_frame(own_frame())
     folder = folder_of(tmp_path / "gap", "data.csv", MAP, frame.drop(index=17))
-    with pytest.raises(InputError, match=r"line 19, .*got none for 2 s; give cumulative counts"):
+    said = r"line 19, column on_time_z1_s .*a row every 1 s,.*got none from 16 s to 18 s; fill in"
+    with pytest.raises(InputError, match=said):
         load_event(read_event(folder, CASSINI), CASSINI)
     slower = frame.loc[[*range(20), *range(23, 40, 4)]]
     folder = folder_of(tmp_path / "slower", "data.csv", MAP, slower)
     load_event(read_event(folder, CASSINI), CASSINI)
+    faster = frame.loc[[*range(0, 20, 4), *range(20, 40)]]
+    assert sum(chunk.rows for chunk in read_rows(faster, 3)) == 25
+
+
+@pytest.mark.parametrize("rows", [1, 3, 10, 17, 100_000])
+@pytest.mark.parametrize(
+    ("missing", "row"),
+    [
+        *[((1,), 2), ((2,), 3), ((10,), 11), ((17,), 18), ((38,), 39), ((17, 19), 18)],
+        *[((17, 19, 21, 23), 19), ((1, 3), 2), ((36, 38), 38), ((20, 21, 22), 21)],
+    ],
+)
+def test_a_missing_row_is_seen_anywhere(missing: tuple[int, ...], row: int, rows: int) -> None:
+    """At the ends of file and blocks, and beside others that are missing, wherever blocks end."""
+    frame = foreign_frame(own_frame()).drop(index=list(missing))
+    with pytest.raises(InputError, match=rf": row {row}, .*a row every 1 s, as counts per"):
+        read_rows(frame, rows)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from([1, 1, 1, 2, 4]), min_size=2, max_size=38), st.integers(1, 40))
+def test_where_blocks_end_is_nothing_to_a_missing_row(steps: list[int], rows: int) -> None:
+    """The same row is refused, or none, in blocks of any size: steps against plain medians."""
+    place = np.cumsum([0, *steps])
+    usual = [
+        max(
+            sorted(side)[len(side) // 2]
+            for side in (steps[max(i - 5, 0) : i], steps[i + 1 : i + 6])
+            if side
+        )
+        for i in range(len(steps))
+    ]
+    first = next((i + 2 for i, step in enumerate(steps) if step > 1.5 * usual[i]), None)
+    frame = foreign_frame(own_frame(int(place[-1]) + 1)).loc[place]
+    if first is None:
+        assert sum(chunk.rows for chunk in read_rows(frame, rows)) == len(place)
+        return
+    with pytest.raises(InputError, match=rf": row {first}, .*as counts per interval"):
+        read_rows(frame, rows)
+
+
+@pytest.mark.parametrize("channel", ["delta_v", "accelerometer"])
+def test_velocity_per_interval_is_lost_with_a_row(channel: str) -> None:
+    """Twenty rows of a burn: refused for its velocity changes as for counters, by their column."""
+    own = own_frame(60).drop(columns=["q1", "q2", "q3", "q4"])
+    own = own[[name for name in own if not str(name).startswith(("rate", "rwa"))]]
+    names = {
+        "delta_v": [f"delta_v_{axis}_m_s" for axis in "xyz"],
+        "accelerometer": ["accelerometer_counts"],
+    }[channel]
+    own[names] = 1.0
+    table = {"channels": {"time": {"source": "time_s"}, channel: {"kind": "per_interval"}}}
+    for counter in ("on_time", "pulses"):
+        table["channels"][counter] = {"kind": "cumulative"}
+    burn = {**DESCRIPTION, "kind": "delta_v"}
+    burn |= {"delta_v_source": "measured"} if channel == "delta_v" else {}
+    whole = load_event(event_from_frame(own, burn, CASSINI, table), CASSINI)
+    total = whole.delta_v_m_s[:, 0] if channel == "delta_v" else whole.accelerometer_counts
+    assert total.tolist() == list(range(1, 61))
+    event = event_from_frame(own.drop(index=range(20, 40)), burn, CASSINI, table)
+    with pytest.raises(InputError, match=rf"row 21, column {names[0]}: .*from 19 s to 40 s"):
+        load_event(event, CASSINI)
 
 
 def test_what_is_no_frame_and_text_in_one_are_named() -> None:

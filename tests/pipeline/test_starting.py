@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import tomllib
+from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from event_folder_cases import CASSINI
@@ -15,7 +19,9 @@ from cassini_bayes.cli import app
 from cassini_bayes.errors import InputError
 from cassini_bayes.events.telemetry import load_event, read_channel_map, read_event
 from cassini_bayes.events.telemetry.matches import matches, sample_of
+from cassini_bayes.model import log_posterior
 from cassini_bayes.model.nominal import nominal_values
+from cassini_bayes.pipeline.models import build_model
 from cassini_bayes.pipeline.run_file import read_run_file
 from cassini_bayes.pipeline.starting import PROPOSED, write_starting_files
 from cassini_bayes.priors.reader import read_priors
@@ -51,6 +57,47 @@ def test_a_share_that_it_writes_stays_one_in_a_sweep(tmp_path: Path, spacecraft:
     found = wide.parameters[CLOSE_SHARE].distribution
     assert found is not None
     assert found.support == (0.0, 1.0)
+
+
+def test_every_declared_parameter_has_a_placeholder(tmp_path: Path) -> None:
+    """Other wheels and the other branch can be chosen in the file that is there."""
+    place = tmp_path / "mine" / "priors.toml"
+    write_starting_files(place.parent, str(TWELVE))
+    priors = read_priors(place)
+    assert (priors.branch, priors.wheels) == ("R", (1, 2, 3))
+    own = {spec.name: spec.unit for spec in priors.spacecraft.parameters}
+    assert {name: priors.parameters[name].spec.unit for name in own} == own
+    text = place.read_text().replace("wheels = [1, 2, 3]", "wheels = [2, 3, 5]")
+    place.write_text(text.replace('branch = "R"', 'branch = "P"'))
+    other = read_priors(place)
+    other.require(other.spacecraft.wheel_parameters(other.wheels), "telemetry")
+    assert nominal_values(other).keys() >= own.keys()
+
+
+def test_parameters_of_other_wheels_stand_unused(tmp_path: Path) -> None:
+    """A model is that of the same file without the wheel that no event has; no platform turns."""
+    craft = tmp_path / "craft.toml"
+    built_in = resources.files("cassini_bayes.spacecraft") / "cassini.toml"
+    craft.write_bytes(built_in.read_bytes())
+    write_starting_files(tmp_path / "mine", str(craft), [RECORDING])
+    shutil.copy(EXAMPLE / "channels.toml", tmp_path / "mine")
+    place = tmp_path / "mine" / "priors.toml"
+    assert read_priors(place).wheels == (1, 2, 4)
+    assert "rwa4_articulation_rad" not in read_priors(place).parameters
+    name = "rwa3_inertia_kg_m2"
+    whole = place.read_text()
+    tables = re.split(r"(?m)^(?=\[)", whole)
+    without = [table for table in tables if not table.startswith(f"[parameters.{name}]")]
+    assert len(without) == len(tables) - 1
+    (place.parent / "without.toml").write_text("".join(without))
+    event = tmp_path / "mine" / "events" / "may"
+    models = [build_model(event, path) for path in (place, place.parent / "without.toml")]
+    assert models[0].space.names == models[1].space.names
+    assert name not in models[0].space.names
+    start = np.zeros((1, len(models[0].space.names)))
+    one, other = (log_posterior(model, start) for model in models)
+    assert np.isfinite(one).all()
+    np.testing.assert_array_equal(one, other)
 
 
 def test_matches_are_proposed_and_not_in_force(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ STEEPER: Final = 3.0
 """A wrap may hide a growth up to so many times the largest one seen."""
 WRAPPED: Final = 0.25
 """Or, where a channel map states the size of the counter, up to so much of that."""
-LONGER_STEP: Final = 1.5  # times those before and after: a row is missing
 FROZEN_PULSES: Final = 10
 """So many pulses without any on-time are no matter of rounding."""
 _BITS: Final = (8, 10, 12, 15, 16, 24, 31, 32)
@@ -70,7 +69,6 @@ class Counter:
             self._sizes = np.array(sizes, dtype=np.float64)
             self._stated = ~np.isnan(self._sizes)
             self._offsets = np.array([channel_map.offset(channel, name) for name in self._names])
-        self._anew = channel_map is not None and channel_map.is_per_interval(channel, self._names)
 
     def checked(self, block: Block) -> Array:
         """Counts (n, K) with wraps undone, NaN where not sampled."""
@@ -85,8 +83,6 @@ class Counter:
         growth = np.diff(values, axis=1, prepend=first[:, None])
         step_s = np.diff(time, prepend=start)
         self._last = (float(time[-1]), values[:, -1].copy())
-        if self._anew:
-            self._check_gaps(block, rows, step_s)
         if self._channel == "on_time":
             self._check_pace(block, rows, growth, step_s)
         self._look_at_grids(growth)
@@ -190,19 +186,6 @@ class Counter:
                 f"counts below {most[k]:.10g} {self._unit}, where the counters wrap",
                 "a counter that fell near there was reset rather than wrapped: mend it",
                 f"up to {self._highest[k]:.10g}",
-            )
-
-    def _check_gaps(self, block: Block, rows: Rows, step_s: Array) -> None:
-        """A row that is missing among others has counts that nobody knows."""
-        before, after = step_s[:-1], np.append(step_s[2:], step_s[-2:-1])
-        gap = (step_s[1:] > LONGER_STEP * before) & (step_s[1:] > LONGER_STEP * after)
-        for i in (1 + np.flatnonzero(gap & (before > 0.0))).tolist():
-            raise block.refuse(
-                int(rows[i]),
-                self._columns[0],
-                f"a row every {step_s[i - 1]:.6g} s, as counts per interval are lost with theirs",
-                "give cumulative counts, or split the event there",
-                f"none for {step_s[i]:.6g} s",
             )
 
     def _check_pace(self, block: Block, rows: Rows, growth: Array, step_s: Array) -> None:

@@ -16,6 +16,7 @@ from cassini_bayes.events.telemetry.columns import NEEDED, VELOCITY, Layout, mak
 from cassini_bayes.events.telemetry.counters import Agreement, Counter
 from cassini_bayes.events.telemetry.event import TelemetryEvent
 from cassini_bayes.events.telemetry.files import open_table
+from cassini_bayes.events.telemetry.gaps import gaps_of
 from cassini_bayes.events.telemetry.mends import Mends
 from cassini_bayes.events.telemetry.rows import Times, check_foreign, check_ranges, check_whole
 from cassini_bayes.spacecraft import Spacecraft
@@ -49,7 +50,8 @@ def read_chunks(
     ------
     InputError
         Names file, line and column, what was expected, what was found and the fix. Raised while
-        chunks are taken: what came before the bad row has been yielded already.
+        chunks are taken: what came before the bad row has been yielded already, and of a row that
+        is missing so may the few that show it.
     """
     if rows < 1:
         raise InputError("rows", "at least one row per chunk", str(rows), "ask for more")
@@ -101,6 +103,7 @@ class _Checks:
         self._spacecraft = spacecraft
         self._layout = layout
         self._times = Times(layout, mends)
+        self._gaps = gaps_of(layout, event.channels)
         self._attitudes = Attitudes(layout, mends, spacecraft.highest_rate_rad_s)
         self._on_times = Counter("on_time", layout, mends, event.channels)
         self._pulses = Counter("pulses", layout, mends, event.channels)
@@ -113,6 +116,8 @@ class _Checks:
         check_whole(block, self._layout)
         check_foreign(block, self._layout)
         check_ranges(block, self._layout, self._spacecraft)
+        for gaps in self._gaps:
+            gaps.check(block)
         for channel, columns in self._layout.channels.items():
             if columns:
                 self._samples[channel] += int(np.count_nonzero(~np.isnan(block.cells[columns[0]])))
@@ -133,7 +138,9 @@ class _Checks:
         )
 
     def finish(self) -> None:
-        """Refuse a file without enough rows, or one that never samples a channel it needs."""
+        """Refuse a file that lacks rows at its end or in all, or never samples what it needs."""
+        for gaps in self._gaps:
+            gaps.finish()
         file = str(self._event.telemetry)
         rows = self._samples["time"]
         if rows < LEAST_SAMPLES:
