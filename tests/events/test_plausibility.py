@@ -63,10 +63,11 @@ from cassini_bayes.events.telemetry import (
 )
 from cassini_bayes.events.telemetry.channel_map import channel_map_of
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.nominal import nominal_values
+from cassini_bayes.model.nominal import check_rows, nominal_values
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run_file import check_run
 from cassini_bayes.pipeline.starting import write_starting_files
+from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
@@ -942,10 +943,17 @@ def flight() -> tuple[TotalsEvent, ...]:
     return read_totals(FLIGHT, PRIORS.spacecraft)
 
 
-def judged(events: list[TotalsEvent], policy: Policy = STRICT) -> str:
-    """The name under which rows are refused, empty if they are not."""
+def judged(events: list[TotalsEvent], policy: Policy = STRICT, size: float = 1.0) -> str:
+    """The name under which rows are refused, empty if they are not.
+
+    By a spacecraft whose masses and thrusts are ``size`` times Cassini's.
+    """
+    values = {
+        name: value * (size if PRIORS.parameters[name].spec.unit in ("N", "kg", "kg m2") else 1.0)
+        for name, value in nominal_values(PRIORS).items()
+    }
     try:
-        check_totals(events, PRIORS.spacecraft, nominal_values(PRIORS), "table.csv", policy)
+        check_totals(events, PRIORS.spacecraft, values, "table.csv", policy)
     except InputError as error:
         return error.fix.rpartition("--accept ")[2] + " " + error.got
     return ""
@@ -976,17 +984,63 @@ def test_a_row_of_any_length_is_judged() -> None:
 
 
 def test_mistakes_in_all_rows_are_named() -> None:
-    """Redundancy over events: exchanged thrusters, wheels and ends."""
+    """Redundancy over events: exchanged thrusters and ends."""
     rows = flight()
     assert judged([reversed_(row) for row in rows]).startswith("start-end")
     assert "z1 with z3" in judged([swapped(row, 0, 2) for row in rows])
     assert "y1 with y2" in judged([swapped(row, 4, 5) for row in rows])
+
+
+def with_sign_of_first_wheel(event: TotalsEvent) -> TotalsEvent:
+    """The first wheel's rates about the opposite axis."""
+    signs = np.array([-1.0, 1.0, 1.0])
+    return replace(
+        event,
+        rwa_start_rpm=event.rwa_start_rpm * signs,
+        rwa_end_rpm=event.rwa_end_rpm * signs,
+    )
+
+
+def with_first_wheels_exchanged(event: TotalsEvent) -> TotalsEvent:
+    """The first two wheels exchanged."""
     order = [1, 0, 2]
-    wheels = [
-        replace(row, rwa_start_rpm=row.rwa_start_rpm[order], rwa_end_rpm=row.rwa_end_rpm[order])
-        for row in rows
-    ]
-    assert judged(wheels).startswith("wheel-order")
+    return replace(
+        event, rwa_start_rpm=event.rwa_start_rpm[order], rwa_end_rpm=event.rwa_end_rpm[order]
+    )
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+@pytest.mark.parametrize(
+    ("recorded", "mistake"),
+    [
+        (replace, ""),
+        (with_sign_of_first_wheel, "wheel-sign"),
+        (with_first_wheels_exchanged, "wheel-order"),
+    ],
+)
+def test_spacecraft_of_any_mass_have_the_same_verdicts(
+    size: float, recorded: Callable[[TotalsEvent], TotalsEvent], mistake: str
+) -> None:
+    """All masses and thrusts times one factor: the same rates in the same time.
+
+    With a body's momentum and torque as large as Cassini's nothing contradicted a hundredth of it.
+    """
+    rows = [recorded(row) for row in flight()]
+    verdict = judged(rows, size=size)
+    assert verdict.startswith(mistake)
+    assert verdict == judged(rows)
+
+
+def test_torques_that_priors_allow_explain_totals() -> None:
+    """A steady torque of 1 N m hides exchanged ends; the priors' own does not."""
+    rows = [reversed_(row) for row in flight()]
+    wide = PRIORS
+    for axis in "xyz":
+        name, torque = f"external_torque_{axis}_n_m", Distribution("norm", {"scale": 1.0})
+        wide = wide.with_distribution(name, torque)
+    assert check_rows(rows, wide, "table.csv") == ()
+    with pytest.raises(MistakeError, match="before and after exchanged"):
+        check_rows(rows, PRIORS, "table.csv")
 
 
 def in_rad_s(event: TotalsEvent) -> TotalsEvent:
