@@ -15,8 +15,9 @@ from cassini_bayes.diagnosis.hypotheses import Hypothesis
 from cassini_bayes.diagnosis.innovations import linearise
 from cassini_bayes.diagnosis.unresolved import timed
 from cassini_bayes.effects.effect import Effect
-from cassini_bayes.model.posterior import TORQUES, Model
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.sampling.warmstart import TRUSTED_K
+from cassini_bayes.spacecraft.parameters import TORQUES
 
 SizeDraws = Callable[[Weighed[H]], tuple[dict[str, Array], Array]]
 SUMMARY_DRAWS: Final = 2_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -11,7 +12,7 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.spacecraft import check_axis_pairs
 from cassini_bayes.spacecraft.description import CENTRE_OF_MASS
-from cassini_bayes.spacecraft.parameters import THRUST_COMMON
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON, TORQUES
 
 FIRING_PARAMETERS: Final = (THRUST_COMMON, "tau_rise_s", "tau_fall_s")
 
@@ -30,7 +31,11 @@ def check_rows(
     """
     of_branch = [row for row in rows if row.branch == priors.branch]
     nominal = nominal_values(priors)
-    return check_totals(of_branch, priors.spacecraft, nominal, where, policy, steady=steady)
+    torques = [priors.parameters.get(name) for name in TORQUES]
+    torque_n_m = [0.0 if each is None else math.hypot(each.mean, each.sd) for each in torques]
+    return check_totals(
+        of_branch, priors.spacecraft, nominal, where, policy, steady=steady, torque_n_m=torque_n_m
+    )
 
 
 def nominal_values(priors: Priors) -> dict[str, float]:

@@ -37,10 +37,9 @@ from cassini_bayes.model.unknowns import Unknowns
 from cassini_bayes.priors.parameter_space import ParameterSpace
 from cassini_bayes.priors.reader import Priors
 from cassini_bayes.priors.starts import Starts
-from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, LATE_FACTOR, ParameterSpec
+from cassini_bayes.spacecraft.parameters import EFFECT_BLOCK, LATE_FACTOR, TORQUES, ParameterSpec
 from cassini_bayes.spacecraft.pulses import shape_named
 
-TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 TAIL: Final = "tau_fall_s"
 RATE_NOISE: Final = "rate_noise_rad_s"
 Event = TotalsEvent | ReducedEvent

@@ -21,11 +21,12 @@ from cassini_bayes.model.draws import (
     drawn_terms,
     event_log_density,
 )
-from cassini_bayes.model.posterior import TORQUES, Model
+from cassini_bayes.model.posterior import Model
 from cassini_bayes.model.terms import TORQUE, Variable
 from cassini_bayes.model.thrusts import normal_log_density, thrust_log_prior
 from cassini_bayes.results.record import AXES, Coordinates, Fit, dataset_of, labelled
 from cassini_bayes.results.replicates import channel_replicates
+from cassini_bayes.spacecraft.parameters import TORQUES
 
 DENSITY: Final = "event_data"
 """Log density of the data where the events are not all of one kind."""

@@ -24,6 +24,7 @@ EFFECT_BLOCK: Final = "effect"
 
 THRUST_COMMON: Final = "thrust_common_n"
 THRUST_LEVELS: Final = ("thrust_individual_n", "thrust_event_n", "thrust_jitter_n")
+TORQUES: Final = tuple(f"external_torque_{axis}_n_m" for axis in "xyz")
 SOFTWARE: Final = ("fsw_acceleration_factor", "fsw_impulse_offset_s")
 """Of the ΔV that is computed on board."""
 CLOSE_SHARE: Final = "close_pulse_share"

@@ -63,10 +63,12 @@ from cassini_bayes.events.telemetry import (
 )
 from cassini_bayes.events.telemetry.channel_map import channel_map_of
 from cassini_bayes.events.totals import TotalsEvent, read_totals
-from cassini_bayes.model.nominal import nominal_values
+from cassini_bayes.model.nominal import check_rows, nominal_values
 from cassini_bayes.pipeline.inputs import read_inputs
 from cassini_bayes.pipeline.run_file import check_run
-from cassini_bayes.priors.reader import read_priors
+from cassini_bayes.pipeline.starting import write_starting_files
+from cassini_bayes.priors.distributions import Distribution
+from cassini_bayes.priors.reader import Priors, read_priors
 from cassini_bayes.simulation import read_scenario, scenario_of
 from cassini_bayes.spacecraft import load_spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
@@ -607,7 +609,7 @@ def test_a_first_catch_turns_no_axes() -> None:
     attitude = np.column_stack([0.5 * (turn + rng.normal(0.0, 1e-5, turn.shape)), np.ones(rows)])
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
     motion = Motion(time_s, attitude, rate + rng.normal(0.0, 2e-6, rate.shape))
-    unknown, known = turning_of(motion), turning_of(motion, None, fired)
+    unknown, known = turning_of(motion), turning_of(motion, None, fired[None])
     assert unknown is not None
     assert known is not None
     assert unknown.misaligned(np.eye(3)) > 2.0 * BY_CHANCE
@@ -679,13 +681,104 @@ def test_a_limit_cycle_in_step_with_the_rows_is_no_factor_of_rates() -> None:
     about z × 0.63. A factor of two stays one.
     """
     motion, drive, fired = cycle_in_step_with_rows()
-    unknown, known = turning_of(motion, drive), turning_of(motion, drive, fired)
+    unknown, known = turning_of(motion, drive), turning_of(motion, drive, fired[None])
     assert unknown is not None
     assert known is not None
     chance = 18.0 + 4.0 * 6.0  # of 18 moments, four standard deviations
     assert unknown.misfit(np.eye(3)) > chance
     assert known.misfit(np.eye(3)) < chance
     assert known.misfit(2.0 * np.eye(3)) > 2.0 * chance
+
+
+def pushed_to_and_fro() -> tuple[Motion, Array]:
+    """Rows every second, and near the ends of a slow swing a pulse back and one forth in each.
+
+    The motion, and what was gained one way (n, 3); as much was lost the other way. Rates have noise
+    of 2e-6 rad/s, attitudes of 1e-5 rad.
+    """
+    rng, rows, size, kick = np.random.default_rng(23), 640, 2e-4, 4e-4
+    time_s = np.arange(float(rows))
+    rate = size * np.sin(2.0 * np.pi * time_s / 100.0)
+    middle = 0.5 * (rate[1:] + rate[:-1])
+    kicked = kick * (np.abs(middle) > 0.98 * size)
+    # for a quarter of a second the body turns back
+    turn = np.concatenate([[0.0], np.cumsum(middle - 0.25 * np.sign(middle) * kicked)])
+    gained = np.concatenate([[0.0], np.cumsum(kicked)])
+    turn, rate, gained = (np.tile(each[:, None], 3) for each in (turn, rate, gained))
+    attitude = np.column_stack([0.5 * (turn + rng.normal(0.0, 1e-5, turn.shape)), np.ones(rows)])
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    return Motion(time_s, attitude, rate + rng.normal(0.0, 2e-6, rate.shape)), gained
+
+
+def test_pulses_to_and_fro_within_a_row_are_no_factor_of_rates() -> None:
+    """Opposite pulses in one row leave its rates as they were, and its turn is another.
+
+    What stays of them is nothing, and turns then speak against honest rates; each is counted by
+    itself. A factor of two stays one.
+    """
+    motion, gained = pushed_to_and_fro()
+    left = turning_of(motion, None, (gained - gained)[None])
+    each = turning_of(motion, None, np.stack([gained, -gained]))
+    assert left is not None
+    assert each is not None
+    chance = 18.0 + 4.0 * 6.0  # of 18 moments, four standard deviations
+    assert left.misfit(np.eye(3)) > chance
+    assert each.misfit(np.eye(3)) < 0.6 * chance
+    assert each.misfit(2.0 * np.eye(3)) > 10.0 * chance
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Event, Priors]:
+    """A flight of the example spacecraft, as the how-to for another spacecraft has it.
+
+    One pulse turns it ten times as fast as one turns Cassini.
+    """
+    folder = tmp_path_factory.mktemp("observer")
+    shutil.copy(ROOT / "docs" / "examples" / "observer.toml", folder)
+    write_starting_files(folder, str(folder / "observer.toml"))
+    (folder / "scenario.toml").write_text(OBSERVED, encoding="utf-8")
+    scenario = read_scenario(folder / "scenario.toml")
+    write_simulation(simulate_file(scenario, 15), folder / "flown")
+    priors = read_priors(folder / "priors.toml")
+    event = read_event(folder / "flown" / "first", priors.spacecraft)
+    return (event, load_event(event, priors.spacecraft)), priors
+
+
+OBSERVED = """
+[spacecraft]
+file = "observer.toml"
+branch = "main"
+wheels = [1, 2, 3]
+
+[truth]
+draw_from = "priors.toml"
+
+[[event]]
+id = "first"
+kind = "bias"
+epoch = 2026-01-01T00:00:00Z
+from_rpm = [-900.0, 800.0, 500.0]
+to_rpm = [700.0, -300.0, 400.0]
+"""
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(1.0, ""), (1.0 / 60.0, "rate")])
+def test_a_nimble_spacecraft_is_judged_by_its_rates(
+    observed: tuple[Event, Priors], factor: float, refused: str
+) -> None:
+    """The how-to's own flight passes, which was refused for body rates about z × 0.55.
+
+    Rates that are sixty times too large are named.
+    """
+    (event, chunk), priors = observed
+    check = TelemetryCheck(event, priors.spacecraft, nominal_values(priors))
+    check.take(replace(chunk, rate_rad_s=factor * chunk.rate_rad_s))
+    if not refused:
+        assert check.verdict().misfit < SUSPECT
+        return
+    with pytest.raises(MistakeError) as error:
+        check.verdict()
+    assert error.value.mistakes[0].startswith(refused)
 
 
 @pytest.mark.parametrize(
@@ -850,10 +943,17 @@ def flight() -> tuple[TotalsEvent, ...]:
     return read_totals(FLIGHT, PRIORS.spacecraft)
 
 
-def judged(events: list[TotalsEvent], policy: Policy = STRICT) -> str:
-    """The name under which rows are refused, empty if they are not."""
+def judged(events: list[TotalsEvent], policy: Policy = STRICT, size: float = 1.0) -> str:
+    """The name under which rows are refused, empty if they are not.
+
+    By a spacecraft whose masses and thrusts are ``size`` times Cassini's.
+    """
+    values = {
+        name: value * (size if PRIORS.parameters[name].spec.unit in ("N", "kg", "kg m2") else 1.0)
+        for name, value in nominal_values(PRIORS).items()
+    }
     try:
-        check_totals(events, PRIORS.spacecraft, nominal_values(PRIORS), "table.csv", policy)
+        check_totals(events, PRIORS.spacecraft, values, "table.csv", policy)
     except InputError as error:
         return error.fix.rpartition("--accept ")[2] + " " + error.got
     return ""
@@ -884,17 +984,63 @@ def test_a_row_of_any_length_is_judged() -> None:
 
 
 def test_mistakes_in_all_rows_are_named() -> None:
-    """Redundancy over events: exchanged thrusters, wheels and ends."""
+    """Redundancy over events: exchanged thrusters and ends."""
     rows = flight()
     assert judged([reversed_(row) for row in rows]).startswith("start-end")
     assert "z1 with z3" in judged([swapped(row, 0, 2) for row in rows])
     assert "y1 with y2" in judged([swapped(row, 4, 5) for row in rows])
+
+
+def with_sign_of_first_wheel(event: TotalsEvent) -> TotalsEvent:
+    """The first wheel's rates about the opposite axis."""
+    signs = np.array([-1.0, 1.0, 1.0])
+    return replace(
+        event,
+        rwa_start_rpm=event.rwa_start_rpm * signs,
+        rwa_end_rpm=event.rwa_end_rpm * signs,
+    )
+
+
+def with_first_wheels_exchanged(event: TotalsEvent) -> TotalsEvent:
+    """The first two wheels exchanged."""
     order = [1, 0, 2]
-    wheels = [
-        replace(row, rwa_start_rpm=row.rwa_start_rpm[order], rwa_end_rpm=row.rwa_end_rpm[order])
-        for row in rows
-    ]
-    assert judged(wheels).startswith("wheel-order")
+    return replace(
+        event, rwa_start_rpm=event.rwa_start_rpm[order], rwa_end_rpm=event.rwa_end_rpm[order]
+    )
+
+
+@pytest.mark.parametrize("size", [0.01, 100.0])
+@pytest.mark.parametrize(
+    ("recorded", "mistake"),
+    [
+        (replace, ""),
+        (with_sign_of_first_wheel, "wheel-sign"),
+        (with_first_wheels_exchanged, "wheel-order"),
+    ],
+)
+def test_spacecraft_of_any_mass_have_the_same_verdicts(
+    size: float, recorded: Callable[[TotalsEvent], TotalsEvent], mistake: str
+) -> None:
+    """All masses and thrusts times one factor: the same rates in the same time.
+
+    With a body's momentum and torque as large as Cassini's nothing contradicted a hundredth of it.
+    """
+    rows = [recorded(row) for row in flight()]
+    verdict = judged(rows, size=size)
+    assert verdict.startswith(mistake)
+    assert verdict == judged(rows)
+
+
+def test_torques_that_priors_allow_explain_totals() -> None:
+    """A steady torque of 1 N m hides exchanged ends; the priors' own does not."""
+    rows = [reversed_(row) for row in flight()]
+    wide = PRIORS
+    for axis in "xyz":
+        name, torque = f"external_torque_{axis}_n_m", Distribution("norm", {"scale": 1.0})
+        wide = wide.with_distribution(name, torque)
+    assert check_rows(rows, wide, "table.csv") == ()
+    with pytest.raises(MistakeError, match="before and after exchanged"):
+        check_rows(rows, PRIORS, "table.csv")
 
 
 def in_rad_s(event: TotalsEvent) -> TotalsEvent:

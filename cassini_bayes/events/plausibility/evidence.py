@@ -47,18 +47,27 @@ class Evidence:
 
     @property
     def _given_rad_s(self) -> tuple[Array, Array] | tuple[()]:
-        """Rates (n, 3) of the body by the wheels alone and by thrusters alone, where these fire."""
+        """Rates of the body by the wheels alone (n, 3), and by thrusters either way (2, n, 3).
+
+        Empty where nothing fires.
+        """
         rows, motion, nominal = self.rows, self.motion, self.nominal
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return ()
-        thrust_s = nominal.thrust_s(rows)
-        momenta = -nominal.of_wheels(rows.wheel_rpm), thrust_s @ nominal.torques.T
-        rates = (np.linalg.solve(nominal.inertia, each.T).T for each in momenta)
-        wheels, fired = (
-            at_times(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
-            for each in rates
+        momentum = -nominal.of_wheels(rows.wheel_rpm)
+        thrust_s, quickens = (
+            nominal.thrust_s(rows),
+            np.linalg.solve(nominal.inertia, nominal.torques),
         )
-        return wheels, fired
+        wheels, *fired = (
+            at_times(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
+            for each in (
+                np.linalg.solve(nominal.inertia, momentum.T).T,
+                thrust_s @ np.maximum(quickens, 0.0).T,
+                thrust_s @ np.minimum(quickens, 0.0).T,
+            )
+        )
+        return wheels, np.stack(fired)
 
     @cached_property
     def momentum(self) -> Momentum | None:

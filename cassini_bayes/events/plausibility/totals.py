@@ -39,12 +39,16 @@ from cassini_bayes.events.totals import TotalsEvent
 from cassini_bayes.spacecraft import Spacecraft
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
-HOLD_N_M_S: Final = 0.5
-"""Momentum of the body at the two ends, each axis: rates of 5e-5 rad/s left in the dead-band."""
+HOLD: Final = 2.0
+"""Of the dead-band's rate, at the two ends together: √2 of two independent ones, and as much again
+for what a prior does not know (0.5 N m s of Cassini)."""
+HOLD_RAD_S: Final = 4.5e-5
+"""Rate left in the dead-band, where parameters have no ``hold_rate_rad_s``: Cassini's."""
 JITTER: Final = 0.02
 """Of a thruster's impulse, from bias to bias."""
-TORQUE_N_M: Final = 1e-4
-"""Steady torque, each axis and row: fifty times what flight has shown (paper 000)."""
+QUICKENED_RAD_S2: Final = 2e-8
+"""Of the body by a steady torque, each axis and row: 1e-4 N m of Cassini, fifty times what flight
+has shown (paper 000)."""
 LONGEST_S: Final = 1e9
 """Of a row, so that its square is a number; no bias lasts for thirty years."""
 OWN_THRUST: Final = 0.06
@@ -66,11 +70,11 @@ USUAL_PULSE_S: Final = 0.25
 """Mean width taken where a table has no pulse counts."""
 UNKNOWN_PER_ROW: Final = 20.0
 """Misfit per row above which a table is flagged though no mistake explains it: by trial (flight
-rows leave 0.2 or less)."""
+rows leave 0.4 or less)."""
 SUSPECT: Final = 9.0
 LEAST_GAIN: Final = 7.0
 """As for telemetry, but lower: with three equations a row, departures swallow noise (flight's rows
-leave 0.2 or less, and each alone 9.9 or more where its wheel rates are in rad/s)."""
+leave 0.4 or less, and each alone 9.9 or more where its wheel rates are in rad/s)."""
 SUSPECT_ALONE: Final = 6.0
 GAIN_ALONE: Final = 3.5
 """The same of a row that stands alone: departures swallow more of its three equations (257 honest
@@ -115,6 +119,8 @@ class _Table:
     numbers: tuple[int, ...]  # of all wheels
     pushes: Array
     steady: bool  # whether thrusts depart alike in all rows
+    hold_rad_s: float  # of the body at the two ends together, each axis
+    torque_n_m: Array  # (3,) steady, that priors allow
 
     def misfit(self, rows: Sequence[TotalsRow], free: Array | None = None) -> float:
         """yᵀ K⁻¹ y and the price of vanishing impulse; a direction ``free`` (3 E,) has none."""
@@ -188,7 +194,11 @@ class _Table:
         if not self.steady:
             common = WIDTHS["common"] * each.sum(axis=1)
             noise += np.outer(common, common) + WIDTHS["thrust"] ** 2 * each @ each.T
-        noise += (HOLD_N_M_S**2 + (TORQUE_N_M * min(row.duration_s, LONGEST_S)) ** 2) * np.eye(3)
+        lasted_s = min(row.duration_s, LONGEST_S)
+        rate_rad_s = np.hypot(self.hold_rad_s, QUICKENED_RAD_S2 * lasted_s)
+        # in the size of the body: craft whose masses are all larger have the same verdicts
+        noise += rate_rad_s**2 * nominal.inertia @ nominal.inertia.T
+        noise += np.diag((self.torque_n_m * lasted_s) ** 2)
         return left, np.concatenate([part.reshape(3, -1) for part in shared], axis=1), noise
 
 
@@ -200,6 +210,7 @@ def check_totals(
     policy: Policy = STRICT,
     *,
     steady: bool = True,
+    torque_n_m: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[str, ...]:
     """Check rows of a table against the balance of momentum, and against each other.
 
@@ -208,13 +219,15 @@ def check_totals(
     events
         Rows of one branch.
     spacecraft, parameters
-        As for telemetry.
+        As for telemetry, and ``hold_rate_rad_s``; without, Cassini's.
     where
         What the rows came from, for the message.
     policy
         Mistakes that the user accepts.
     steady
         Whether thrusts are the same in all rows; over a mission, pressure and ageing move them.
+    torque_n_m
+        Steady torque about each axis, root mean square, that priors allow.
 
     Returns
     -------
@@ -238,7 +251,9 @@ def check_totals(
         for wheels in {row.wheels for row in rows}
     }
     numbers = tuple(sorted({number for wheels in nominals for number in wheels}))
-    table = _Table(nominals, numbers, next(iter(nominals.values())).pushes, steady)
+    pushes = next(iter(nominals.values())).pushes
+    hold_rad_s = HOLD * parameters.get("hold_rate_rad_s", HOLD_RAD_S)
+    table = _Table(nominals, numbers, pushes, steady, hold_rad_s, np.asarray(torque_n_m))
     misfit = table.misfit(rows)
     suspect, least_gain = (SUSPECT, LEAST_GAIN) if len(rows) > 1 else (SUSPECT_ALONE, GAIN_ALONE)
     if misfit <= suspect:

@@ -58,22 +58,26 @@ class Turning:
     driven: Array  # Σ f zᵀ (3, 6), f what half an interval of the wheels' drive is, by step
     instruments: Array  # Σ z zᵀ (6, 6)
     squares: tuple[Array, Array, Array]  # Σ y yᵀ, Σ x yᵀ, Σ x xᵀ (3, 3) of their noise
-    pulsed: Array  # (3,) variance that pulses at unknown moments bring to a step
+    pulsed: Array  # (3, 6, 6) Σ p z zᵀ by axis, p what pulses at unknown moments vary a step by
     steps: int
     each: tuple[Array, Array]  # y and x (n, 3) of every interval between two rows
     jumped: Array  # (n,) variance that its pulses bring to an interval, all axes together
     bias_rad_s: Array  # (3,) by which rates may be off on the whole: what is found, and its noise
 
     def variance(self, rate: Array) -> Array:
-        """Variance (3,) of the noise of one step's turn less ``rate`` times its rates."""
+        """Variance (3,) of the noise of one step's turn less ``rate`` times its rates.
+
+        Without what pulses bring.
+        """
         turned, common, recorded = self.squares
         left = turned - 2.0 * rate @ common + rate @ recorded @ rate.T
-        return np.maximum(np.diag(left) / self.steps, LEAST_VARIANCE) + self.pulsed
+        return np.maximum(np.diag(left) / self.steps, LEAST_VARIANCE)
 
     def factor(self, axes: Sequence[int]) -> float:
         """The one factor of recorded rates that brings turns about some axes nearest."""
         inverse = np.linalg.inv(self.instruments)
-        weights = 1.0 / self.variance(np.eye(3))[list(axes)]
+        kicked = np.trace(self.pulsed, axis1=1, axis2=2) / np.trace(self.instruments)
+        weights = 1.0 / (self.variance(np.eye(3)) + kicked)[list(axes)]
         turned, recorded = self.turned[list(axes)], self.recorded[list(axes)]
         common = float(np.sum(weights[:, None] * (turned @ inverse) * recorded))
         own = float(np.sum(weights[:, None] * (recorded @ inverse) * recorded))
@@ -92,7 +96,7 @@ class Turning:
             lean += np.outer(quickened[axis], quickened[axis])
             lean += np.outer(self.driven[axis], self.driven[axis])
             # noise-free rates about one axis alone leave directions that nothing is known of
-            covariance = variance[axis] * self.instruments + lean
+            covariance = variance[axis] * self.instruments + self.pulsed[axis] + lean
             total += float(gap @ np.linalg.lstsq(covariance, gap)[0])
         return total
 
@@ -159,12 +163,14 @@ def turning_of(
     Where thrusters take what wheels give, the body's rate falls between pulses and jumps with them.
     If pulses begin with the rows the mean of two rates is off by half an interval of that fall, for
     as long as the wheels ramp: so much it may lean. ``drive_rad_s`` (n, 3) are the rates that the
-    body would have by the wheels alone, ``fired_rad_s`` (n, 3) by the thrusters alone; without,
-    nothing fires.
+    body would have by the wheels alone, ``fired_rad_s`` (2, n, 3) by what thrusters push about each
+    axis one way, and by what they push the other; without, nothing fires.
 
     A pulse that brings J somewhere in an interval leaves the mean of two rates off by up to J/2,
-    with the variance J²/12. Where pulses come in step with the rows this lasts, and second
-    differences do not see it: it counts for :data:`SHARED` steps.
+    with the variance J²/12. Two that push to and fro in one interval bring it twice, though little
+    of what they bring stays. Where pulses come in step with the rows this lasts, and second
+    differences do not see it: it counts for :data:`SHARED` steps. It is counted in the steps that
+    were fired in, where rates are largest: spread over all steps it would be too little there.
 
     Steps join intervals up to :data:`STEP_S`: booms that swing faster than that are none of
     the body's turning, and rates sampled at their swing's ends would look too large or too small.
@@ -185,13 +191,11 @@ def turning_of(
     mean = joined(between * intervals_s[:, None]) / step_s
     turned = joined(turns) / step_s
     quick = joined(np.diff(rates, axis=0)) / step_s
-    given, fired = (
-        np.zeros_like(rates) if each is None else each for each in (drive_rad_s, fired_rad_s)
-    )
+    given = np.zeros_like(rates) if drive_rad_s is None else drive_rad_s
+    fired = np.zeros((1, *rates.shape)) if fired_rad_s is None else fired_rad_s
     half = 0.5 * joined(intervals_s[:, None] * np.diff(given, axis=0)) / step_s
-    jumps = np.diff(fired, axis=0)
-    kicks = joined((intervals_s[:, None] * jumps) ** 2) / step_s**2
-    pulsed = SHARED * kicks.mean(axis=0) / 12.0
+    kicks = np.sum(np.diff(fired, axis=1) ** 2, axis=0) / 12.0  # of an interval
+    kicked = SHARED * joined(intervals_s[:, None] ** 2 * kicks) / step_s**2
     # rows that no other step than the one before, or the one after, has at its ends
     before = rates[:used].reshape(count, stride, 3).mean(axis=1)
     after = rates[1 : used + 1].reshape(count, stride, 3).mean(axis=1)
@@ -203,6 +207,7 @@ def turning_of(
     z = z / np.where(scale > 0.0, scale, 1.0)
     # a trace of ridge: a rate that never varies is no instrument, and must not divide by zero
     inner = z.T @ z + 1e-9 * np.eye(INSTRUMENTS)
+    pulsed = np.stack([(z * each[:, None]).T @ z for each in kicked[1:-1][good].T])
     # noise by second differences: what a wrong factor leaves is smooth, and is no noise
     bent_y, bent_x = (np.diff(v, 2, axis=0) / np.sqrt(6.0) for v in (y, x))
     squares = (bent_y.T @ bent_y, bent_x.T @ bent_y, bent_x.T @ bent_x)
@@ -211,6 +216,6 @@ def turning_of(
     apart = each[0] - each[1]
     bias = np.abs(apart.mean(axis=0)) + BIAS_SIGMAS * apart.std(axis=0) / np.sqrt(len(apart))
     each = (each[0] - each[0].mean(axis=0), each[1] - each[1].mean(axis=0))
-    jumped = np.sum(jumps[usual] ** 2, axis=1) / 12.0
+    jumped = np.sum(kicks[usual], axis=1)
     moments = (y.T @ z, x.T @ z, dx.T @ z, f.T @ z)
     return Turning(*moments, inner, squares, pulsed, len(y) - 2, each, jumped, bias)
