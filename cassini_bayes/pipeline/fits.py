@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 
 from cassini_bayes.computing.cached import cached_property
-from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.computing.workers import cores
 from cassini_bayes.effects.effect import Effect
 from cassini_bayes.effects.registry import read_kinds
@@ -261,7 +260,6 @@ class FitResult(Fit):
         return html_of(f"Fit {self.name}", [self._state(), *self.warnings], self._headlines())
 
 
-@one_thread()
 def fit(
     events: PathLike | EventLike | Iterable[EventLike] | Model,
     priors: PriorsLike | None = None,

@@ -13,6 +13,7 @@ import pandas as pd
 from cassini_bayes.computing.arrays import Array
 from cassini_bayes.computing.log import Log, silent
 from cassini_bayes.computing.processes import in_parts, in_processes
+from cassini_bayes.computing.threads import one_thread
 from cassini_bayes.files.as_arrays import arrays_of, value_of
 from cassini_bayes.files.checkpoint import CheckpointStore
 from cassini_bayes.model.draws import Draws, draw
@@ -107,6 +108,7 @@ def fit_warnings(fit: Fit) -> list[str]:
     return result
 
 
+@one_thread()
 def fit_model(
     model: Model,
     settings: SamplerSettings | None = None,
