@@ -20,6 +20,12 @@ ROOT = Path(__file__).parents[1]
 PRIORS = ROOT / "priors" / "cassini_b_branch_telemetry.toml"
 
 
+def at_rest(duration_s: float) -> dict[str, Any]:
+    """A quiescent event of a scenario: wheels turn evenly, nothing fires or slews."""
+    wheels = {"from_rpm": [1500.0, -1200.0, 900.0], "duration_s": duration_s}
+    return {"id": "quiet", "kind": "quiescent", "epoch": "2009-08-22T00:00:00Z", **wheels}
+
+
 def document() -> dict[str, Any]:
     """A bias of some 350 s and slews about all three axes, at 1 Hz."""
     slews = [

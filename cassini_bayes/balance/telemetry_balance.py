@@ -42,9 +42,8 @@ from cassini_bayes.computing.cached import cached_property
 from cassini_bayes.spacecraft import Spacecraft
 
 LEAST_INITIAL_SD_N_M_S: Final = 10.0  # flat: wheels known to 1 % have 0.3
-INITIAL_SD: Final = (
-    3.0  # over the measured momentum's root mean square: its mean is a bias's middle
-)
+# Over the root mean square of the measured momentum, whose mean is that of a bias's middle.
+INITIAL_SD: Final = 3.0
 
 
 @dataclass(frozen=True)

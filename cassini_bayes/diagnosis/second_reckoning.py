@@ -92,17 +92,10 @@ def gain_by_levels(none: Hypothesis, cause: Weighed[Hypothesis]) -> float:
 
 def acts_between_pulses(none: Hypothesis, cause: Hypothesis, point: Array) -> bool:
     """Whether a cause leaves pulses, body, wheels and gyro as they are: a torque that is steady."""
-    return (
-        acts_on_pulses(none, cause, point)
-        and all(
-            np.allclose(one, two)
-            for own, other in _without_and_with(none, cause, point)
-            for one, two in zip(_of_pulses(own), _of_pulses(other), strict=True)
-        )
-        and all(
-            _thrusters_columns(own) == _thrusters_columns(other)
-            for own, other in _without_and_with(none, cause, point)
-        )
+    return acts_on_pulses(none, cause, point) and all(
+        _thrusters_columns(own) == _thrusters_columns(other)
+        and all(map(np.allclose, _of_pulses(own), _of_pulses(other)))
+        for own, other in _without_and_with(none, cause, point)
     )
 
 

@@ -310,9 +310,9 @@ def _with_likely_thrusts(model: Model) -> Model:
         is_late[fired] = term.balance.late is not None
     likely, names = np.zeros(model.space.dimension), model.space.names
     for _ in range(_ROUGH_TIMES):
+        firing = replace(lean, telemetry=tuple(t for t in lean.telemetry if t.event.fires))
         for pair in pairs:
             z = _on_grid(likely, [names.index(name) for name in pair if name in names])
-            firing = replace(lean, telemetry=tuple(t for t in lean.telemetry if t.event.fires))
             points = wide.points_at(_searched(wide, z), len(z))
             collapsed = _collapse_at(firing, points)
             likeliest = int(np.argmax(collapsed.log_likelihood - 0.5 * (z**2).sum(axis=1)))

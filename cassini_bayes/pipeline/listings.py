@@ -14,12 +14,11 @@ from cassini_bayes.effects.tables import INPUTS
 from cassini_bayes.model.gather import PathLike
 from cassini_bayes.pipeline.fits import FitResult, read_fit
 from cassini_bayes.pipeline.models import PriorsLike, priors_of
-from cassini_bayes.prediction.physics import COMMON
 from cassini_bayes.prediction.planning import LEVEL
 from cassini_bayes.priors.distributions import Distribution
 from cassini_bayes.priors.reader import known_parameters
 from cassini_bayes.spacecraft import Spacecraft, load_spacecraft
-from cassini_bayes.spacecraft.parameters import ParameterSpec
+from cassini_bayes.spacecraft.parameters import THRUST_COMMON, ParameterSpec
 from cassini_bayes.sweep.models import scalar_names
 
 _FITTED: Final = frozenset({"telemetry", "totals"})
@@ -127,11 +126,11 @@ def quantities(fit: FitResult | PathLike) -> pd.DataFrame:
         No fit there.
     """
     read = fit if isinstance(fit, FitResult) else read_fit(fit)
-    is_of_mission = COMMON not in read.posterior
+    is_of_mission = THRUST_COMMON not in read.posterior
     rows = []
     for name in scalar_names(read.posterior):
         attributes = read.posterior[name.split("[")[0]].attrs
-        whole = "[" not in name and name != COMMON
+        whole = "[" not in name and name != THRUST_COMMON
         used_by = "summary, sweep, plan" if whole else "summary, sweep"
         rows.append(
             {

@@ -27,13 +27,11 @@ from cassini_bayes.prediction.demand import PairSolver, pair_layout, pair_solver
 from cassini_bayes.prediction.firing import Features
 from cassini_bayes.prediction.wheel_profile import WheelManager, piece_times_s, segments_rpm
 from cassini_bayes.results.record import Fit
-from cassini_bayes.spacecraft.parameters import SOFTWARE
+from cassini_bayes.spacecraft.parameters import SOFTWARE, THRUST_COMMON
 from cassini_bayes.spacecraft.units import RAD_S_PER_RPM
 
 RECORDED: Final = ("rate_rad_s", "rwa_rpm")
 """Channels that a fit of telemetry has observed."""
-COMMON: Final = "thrust_common_n"
-"""Level that all thrusters share: every fit of one branch has draws of it, none of a mission."""
 SAME_VALUE: Final = 1e-9  # relative: a fixed value through a file and back
 
 
@@ -125,7 +123,7 @@ def physics_of_fit(
     posterior = groups["posterior"]
     check_one_branch(path, posterior)
     _check_events(model, path, groups["observed_data"])
-    chains, draws = posterior[COMMON].shape
+    chains, draws = posterior[THRUST_COMMON].shape
     chosen = np.sort(rng.choice(chains * draws, min(size, chains * draws), False))
     values = {
         str(name): np.asarray(variable.values, dtype=float).reshape(
@@ -143,16 +141,18 @@ def physics_of_fit(
 def check_one_branch(fit: Path, posterior: xr.Dataset) -> None:
     """Refuse a fit of a mission: its thrusts change from event to event by laws of their own.
 
+    Every fit of one branch has draws of the level that all thrusters share.
+
     Raises
     ------
     InputError
         The posterior has no common level of thrusters.
     """
-    if COMMON not in posterior:
+    if THRUST_COMMON not in posterior:
         raise InputError(
             str(fit),
             "a fit of one branch",
-            f"one of a mission (no {COMMON} in its posterior)",
+            f"one of a mission (no {THRUST_COMMON} in its posterior)",
             "predict and plan from a fit of that branch's events: fit EVENT... --priors FILE; "
             "the forecast of a mission is that of trend",
         )

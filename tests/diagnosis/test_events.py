@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from event_cases import ROOT, priors, turned_about
+from event_cases import ROOT, at_rest, priors, turned_about
 
 from cassini_bayes.diagnosis.events import prepare
 from cassini_bayes.diagnosis.hypotheses import none_hypothesis
@@ -15,8 +15,6 @@ from cassini_bayes.model.gather import unturned
 from cassini_bayes.simulation import scenario_of
 from cassini_bayes.studies.scenario import simulate_file
 from cassini_bayes.studies.telemetry_calibration import reduced_simulation
-
-AT_REST = {"epoch": "2009-08-22T00:00:00Z", "from_rpm": [1500.0, -1200.0, 900.0]}
 
 
 @pytest.mark.parametrize(
@@ -70,7 +68,7 @@ def test_a_body_at_rest_says_nothing_of_its_inertia() -> None:
     """A quiescent event alone, with nothing hidden, had an inertia of 390 ± 50 for 5,232 kg m²."""
     scenario = ROOT / "runs" / "scenarios" / "calibration.toml"
     content = read_toml(scenario, "a scenario file")
-    content["event"] = [{"id": "quiet", "kind": "quiescent", "duration_s": 900.0} | AT_REST]
+    content["event"] = [at_rest(900.0)]
     flight = simulate_file(scenario_of(content, scenario.parent), 1, priors=priors())
     event = reduced_simulation(flight.events[0], priors())
     events = prepare([event], priors())

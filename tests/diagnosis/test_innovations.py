@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from event_cases import at_rest
 from scipy.stats import kstest
 from telemetry_cases import event_of, made_up_samples, telemetry_priors
 
@@ -54,7 +55,6 @@ from cassini_bayes.studies.scenario import Simulation, simulate_file
 ROOT = Path(__file__).parents[2]
 SCENARIO = ROOT / "runs" / "scenarios" / "calibration.toml"
 PRIORS = read_priors(ROOT / "priors" / "cassini_b_branch_telemetry.toml")
-AT_REST = {"epoch": "2009-08-22T00:00:00Z", "from_rpm": [1500.0, -1200.0, 900.0]}
 LEAK_N = 1.0e-4
 LAGGED = range(1, 6)
 
@@ -124,7 +124,7 @@ def test_innovations_of_a_body_at_rest_do_not_go_with_its_rates(seed: int) -> No
     With the row itself in the running mean, whose noise is in its innovation, it is 5 to 10.
     """
     document = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
-    document["event"] = [{"id": "quiet", "kind": "quiescent", "duration_s": 3600.0} | AT_REST]
+    document["event"] = [at_rest(3600.0)]
     quiet = simulate_file(scenario_of(document, SCENARIO.parent), seed, priors=PRIORS)
     none = compact(none_hypothesis(reduced(quiet, PRIORS)))
     mode = highest_mode(none.log_density, none.model.starts)

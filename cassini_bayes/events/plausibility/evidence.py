@@ -55,10 +55,8 @@ class Evidence:
         if rows is None or motion is None or not np.any(np.ptp(rows.pulses, axis=0) > 0.0):
             return ()
         momentum = -nominal.of_wheels(rows.wheel_rpm)
-        thrust_s, quickens = (
-            nominal.thrust_s(rows),
-            np.linalg.solve(nominal.inertia, nominal.torques),
-        )
+        thrust_s = nominal.thrust_s(rows)
+        quickens = np.linalg.solve(nominal.inertia, nominal.torques)
         wheels, *fired = (
             at_times(motion.time_s, rows.time_s, np.asarray(each, dtype=np.float64))
             for each in (
